@@ -30,9 +30,7 @@ from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_check import ChipReport, check_on_chip
 from frogkick.runs.closed_loop import RunOptions
 from frogkick.runs.decision import DecisionTwin
-from frogkick.runs.record import Tracking
 from frogkick.runs.replay import compare, replay_on_host
-from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.summary import Residual, residual
 from frogkick.runs.trial import Trial, swim
@@ -44,19 +42,15 @@ HELD_OUT = "bends"
 """The path of the test run."""
 
 
-@dataclass(frozen=True)
-class RingRun:
+@dataclass(frozen=True, eq=False)
+class RingRun(Trial):
     """A run of the ring along one path.
 
     Attributes:
-        log: its log.
-        tracking: its distances, progress and counts.
         mismatches: number of decisions in which chip and Python twin differ.
         missed: the table's prediction errors one period ahead.
     """
 
-    log: RunLog
-    tracking: Tracking
     mismatches: int
     missed: Residual
 
@@ -215,7 +209,7 @@ def _swim(ring: Ring, name: str, seed: int, progress: Callable[[int, int], None]
         trial.recording.events, DecisionTwin(ring.tables, trial.log.path, ring.options.config)
     )
     mismatches = len(compare(trial.recording.decisions, again))
-    return RingRun(trial.log, trial.tracking, mismatches, residual(trial.log))
+    return RingRun(**vars(trial), mismatches=mismatches, missed=residual(trial.log))
 
 
 def plant(robot: Robot, seed: int) -> dict[str, Any]:

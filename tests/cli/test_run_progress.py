@@ -76,7 +76,7 @@ def test_a_run_that_was_cut_short_is_a_failure(
 ) -> None:
     """One that a person ended, or its time, is none."""
     whole = fk.run(rig.small_table(), "line", time_limit_s=3.0)
-    cut = dataclasses.replace(whole, log=dataclasses.replace(whole.log, notes=ended))
+    cut = dataclasses.replace(whole, notes=ended)
     monkeypatch.setattr(fk, "run", lambda *_given, **_named: cut)
     told = frogkick(capsys, "run", "--tables", rig.small_table(), "--json")
     assert told.json["ended"] == ended and told.code == (1 if words else 0)

@@ -331,9 +331,9 @@ def test_the_command_and_the_call_give_the_same(
 
 
 def test_a_log_of_a_robot_that_never_swam_is_read_and_given_on(runs: list[fk.Run], tmp_path: Path) -> None:
-    log = runs[0].log
+    log = runs[0]
     none = {name: getattr(log.decisions, name)[:0] for name in ("time_s", "action", "fix_sequence", "flags")}
-    fk.Run(dataclasses.replace(log, decisions=type(log.decisions)(**none))).save(tmp_path / "a.h5")
+    dataclasses.replace(runs[0], decisions=type(log.decisions)(**none), tracked=None).save(tmp_path / "a.h5")
     read = fk.load_run(tmp_path / "a.h5")
     assert "0 decisions, not seen swimming" in repr(read) and "<img" not in read._repr_html_()
     assert tmp_path / "csv" / "fixes.csv" in read.export_csv(tmp_path / "csv")

@@ -167,7 +167,7 @@ def test_a_log_that_began_at_no_time_is_refused(swum: RunLog, began_at: str) -> 
 def test_pandas_gets_what_csv_gets(swum: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 
-    tables = fk.Run(swum).to_pandas()
+    tables = fk.Run(**vars(swum)).to_pandas()
     export_csv(swum, tmp_path)
     assert set(tables) == {"fixes", "decisions", "strokes", "path", "truth"}
     for name, table in tables.items():
@@ -175,7 +175,7 @@ def test_pandas_gets_what_csv_gets(swum: RunLog, tmp_path: Path, monkeypatch: py
         pandas.testing.assert_frame_equal(table, read, check_dtype=False, check_exact=True)
     monkeypatch.setattr(extras, "installed", lambda package: package != "pandas")
     with pytest.raises(InputError, match=r"needs the package 'pandas'.*pip install 'frogkick\[pandas\]'"):
-        fk.Run(swum).to_pandas()
+        fk.Run(**vars(swum)).to_pandas()
 
 
 def test_a_recorded_run_without_estimates_opens_too(frog2022_dir: Path, tmp_path: Path) -> None:

@@ -42,11 +42,11 @@ def show_(
         from frogkick.report.animation import run_swim, write_animation
 
         with progress_bar("animation") as progress:
-            write_animation(run_swim(log.log), out, progress)
+            write_animation(run_swim(log), out, progress)
     elif out is not None:
         from frogkick.report.run_figure import run_figure
 
-        write_picture(run_figure(log.log, f"{run.name}: {found.decisions} decisions"), out, ".png")
+        write_picture(run_figure(log, f"{run.name}: {found.decisions} decisions"), out, ".png")
     show({**found.as_json(), "picture": out and str(out)}, json, _lines(found.as_json()))
     if view:
         sys.stdout.flush()
@@ -67,7 +67,7 @@ def compare(
         from frogkick.report.run_figure import compare_figure
 
         names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
-        write_picture(compare_figure((one.log, two.log), names), out, ".png")
+        write_picture(compare_figure((one, two), names), out, ".png")
     values = found.as_json()
     rows = [
         f"{key:18s}  {short(values['a'][key]):>22s}  {short(values['b'][key]):>22s}"

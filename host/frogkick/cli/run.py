@@ -167,7 +167,7 @@ def run(
 
     if lacks := lacks_a_limb(found.ended):
         say(lacks)
-    elif tight := tight_path(found.log, found.tracking):
+    elif tight := tight_path(found, found.tracking):
         say(tight)
     if found.ended in UNFINISHED:
         say(f"the path was not completed, as {UNFINISHED[found.ended]}")

@@ -24,13 +24,19 @@ from frogkick.robot import Actuation
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-WIDTH = 8  # lanes: the widest vectors of today's processors; with 16 the work space outgrows the cache
+WIDTH = 8  # lanes: processors have vectors of 8 float64; the work space of 16 lanes exceeds the cache
 MAX_HALVINGS = 8
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A lane whose simulation failed: time, state, and the last residual over the force scale."""
+    """Where the simulation of a lane failed.
+
+    Attributes:
+        time_s: end of the last step that succeeded.
+        residual: residual of the step that failed, over ``Mesh.force_scale_n``.
+        pose_world, velocity_body: state at ``time_s``: m, m, rad; m/s, m/s, rad/s.
+    """
 
     time_s: float
     residual: float
@@ -196,8 +202,8 @@ class Checkpoint:
 class Batch:
     """Robots of one mesh, each in a lane with its own water, clock, strokes and steps.
 
-    A lane's result is the same bit for bit for any width and any other lanes. A lane that fails stops and is
-    listed in ``failures``; the others continue.
+    The result of a lane has the same bits for any width and any other lanes. A lane that fails stops and is
+    listed in ``failures``; the other lanes continue.
     """
 
     def __init__(
@@ -245,7 +251,7 @@ class Batch:
     def fire(
         self, lane: int, limb: int, time_s: float, *, gain: float = 1.0, duration_scale: float = 1.0
     ) -> None:
-        """Start a stroke of a lane's limb, now or later by its clock; of two strokes the larger one acts.
+        """Start a stroke of a lane's limb, now or later by its clock. Of two strokes at once the larger acts.
 
         Args:
             time_s: start of the stroke.
@@ -261,8 +267,12 @@ class Batch:
             self._state.start()
 
     def shift(self, moves: Mapping[int, tuple[FloatArray, FloatArray]]) -> None:
-        """Move lanes' robots rigidly: by (3,) m, m, rad about the centre, and change the velocity
-        likewise."""
+        """Move the robots of lanes rigidly, as a correction by a measured pose does.
+
+        Args:
+            moves: lane -> (3,) displacement (m, m, rad about the centre of mass) and (3,) change of the
+                velocity (m/s, m/s, rad/s), world frame.
+        """
         centres = self._state.motion()[:, :2]
         x, v, a = (lane_floats(each) for each in self._state.nodes)
         for lane, (pose, velocity) in moves.items():
@@ -295,7 +305,7 @@ class Batch:
         self.corrections[lane] = 1.0  # it has moved already: its accelerations stay as they are
 
     def pick(self, lanes: Sequence[int]) -> Batch:
-        """Return a copy of some lanes, 1 to the width, with their current strokes."""
+        """Return a copy of 1 to ``width`` lanes with their current strokes."""
         picked, chosen, width = copy.copy(self), list(lanes), self._state.width
         picked.lanes = len(chosen)
         picked.time_s, picked.corrections = self.time_s[chosen], self.corrections[chosen]
@@ -316,9 +326,8 @@ class Batch:
             trace: whether to return the motion.
 
         Returns:
-            For each lane the times (k,) after its steps, and (k, MOTION) rows of
-                frogkick.der.body.body_motion in
-            the world frame; no rows without ``trace``.
+            For each lane the times (k,) at the ends of its steps, and (k, MOTION) rows of
+                ``frogkick.der.body.body_motion``, world frame; no rows without ``trace``.
         """
         until = np.array(np.broadcast_to(np.asarray(until_s, dtype=np.float64), (self.lanes,)))
         going = until > self.time_s

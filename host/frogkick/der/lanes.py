@@ -234,24 +234,8 @@ def get(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
     return number(array, types.intp, types.intp), code
 
 
-@_inlined
-def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
-    """Set array[i, j] to a number; a float64 is set in each lane."""
-    number = _number(array.dtype)
-    if number is None or array.ndim != 2:
-        return None
-
-    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        value = _broadcast(context, builder, args[3], sig.args[3], number)
-        builder.store(value, _pointer(context, builder, sig.args[0], args[0], args[1:3]), align=_ALIGN)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.intp, x), code
-
-
-@_inlined
-def add(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
-    """array[i, j] += x; a float64 is added in each lane."""
+def _storing(array: Any, x: Any, new: Callable[[Any, Any, Any], Any]) -> Any:
+    """Return signature and code of a function that sets array[i, j] to ``new(builder, place, x)``."""
     number = _number(array.dtype)
     if number is None or array.ndim != 2:
         return None
@@ -259,7 +243,21 @@ def add(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         value = _broadcast(context, builder, args[3], sig.args[3], number)
         place = _pointer(context, builder, sig.args[0], args[0], args[1:3])
-        builder.store(builder.fadd(builder.load(place, align=_ALIGN), value), place, align=_ALIGN)
+        builder.store(new(builder, place, value), place, align=_ALIGN)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp, x), code
+
+
+@_inlined
+def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
+    """Set array[i, j] to a number; a float64 is set in each lane."""
+    return _storing(array, x, lambda _builder, _place, value: value)
+
+
+@_inlined
+def add(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
+    """array[i, j] += x; a float64 is added in each lane."""
+    return _storing(
+        array, x, lambda builder, place, value: builder.fadd(builder.load(place, align=_ALIGN), value)
+    )

@@ -1,17 +1,18 @@
 """Limbs as plates: the water that moves with a limb is inertia across it and none along it.
 
-Each edge of a plate takes along M kg of water across itself and none along. With half of it at each of its
-ends, as for drag, its kinetic energy is T = M/4 (v_i.n)^2 + M/4 (v_j.n)^2, n the edge's normal. Its force is
-Lagrange's: dT/dx - d/dt(dT/dv), so that the momentum dT/dv is kept together with that of the nodes
-(Kirchhoff), and so is the energy. In the limit of a fine mesh this is -d/dt(m v_n n) + d/ds(m v_n v_t n), the
-force on a long body that bends as it likes, but for a tension that an inextensible rod does not feel.
+Each edge of a plate moves M kg of water with it across, and none along. Half of this added mass acts at each
+end of the edge, as drag does. So its kinetic energy is T = M/4 (v_i.n)^2 + M/4 (v_j.n)^2, where n is the
+edge's normal. The force is Lagrange's, dT/dx - d/dt(dT/dv). It conserves the energy, and the momentum dT/dv
+together with that of the nodes (Kirchhoff). In the limit of a fine mesh it is
+-d/dt(m v_n n) + d/ds(m v_n v_t n), the force of elongated-body theory, but for a tension that an inextensible
+rod does not feel.
 
-A sharp tip sheds: the suction of water that turns round it, 1/2 m v_n^2 along the tip, is lost whichever way
-it moves, and the momentum m v_n n of what it leaves behind is not given back. Both only take energy out,
-1/2 m v_n^2 |v_t| in all, which stays in the wake.
+A sharp tip sheds vorticity. The suction 1/2 m v_n^2 of water that turns round the tip is lost, whichever way
+the tip moves, and the momentum m v_n n of the water that it leaves behind does not return. Both take energy
+out only: 1/2 m v_n^2 |v_t| in all, which stays in the wake.
 
-Arrays are those of ``frogkick.der.rods``. Velocities are relative to the water; its own acceleration is left
-out.
+Arrays are those of ``frogkick.der.rods``. Velocities are relative to the water. The acceleration of the water
+itself is neglected.
 
 Source: Lighthill 1971, Proc. R. Soc. B 179 (large amplitude, the wake's energy); Candelier, Boyer, Leroyer
 2011, J. Fluid Mech. 668 (the force on curved bodies); Lamb 1932, articles 117 to 124 (Kirchhoff).

@@ -1,6 +1,7 @@
-"""Forces on the rods and their stiffness: stretching, bending, drag; for one simulation or many side by side.
+"""Forces of planar discrete elastic rods and their stiffness: stretching, bending, drag.
 
-Arrays hold numbers in the sense of ``frogkick.der.lanes``: (n, 2) per node, (e, k) per edge, (b, k) per bend.
+The functions work on one simulation or on many side by side. Arrays hold numbers in the sense of
+``frogkick.der.lanes``: (n, 2) per node, (e, k) per edge, (b, k) per bend.
 Bending depends on its two edges only, so its force and most of its stiffness are gathered on the edges.
 """
 
@@ -57,10 +58,10 @@ def add_forces(
 ) -> None:
     """Add all forces at a state to ``force_n``, and keep the values for their stiffness in ``edges``.
 
-    Stretching: energy EA e^2 dl / 2 with the strain e = length / dl - 1. Bending: EI (k - k0)^2 dl / 2 with k
-    = 2 tan(phi / 2) / dl, phi the angle from the bend's first edge to its second. Drag: -1/2 rho D dl C |v| v
-    along and across each edge, half of dl at each of its ends. Directions are those of edges and not of
-    nodes, so a corner at which three edges meet needs no rule of its own.
+    Stretching has the energy EA e^2 dl / 2 with the strain e = length / dl - 1. Bending has the energy
+    EI (k - k0)^2 dl / 2 with k = 2 tan(phi / 2) / dl, where phi is the turning angle from the bend's first
+    edge to its second. Drag is -1/2 rho D dl C |v| v along and across each edge, half of it at each end.
+    Directions are those of edges, so a corner at which three edges meet needs no rule of its own.
 
     Args:
         edges: work space; written.
@@ -71,7 +72,9 @@ def add_forces(
         water: (WATER, 1), see ``frogkick.der.water``; (0, 1) in still water.
         force_n: (n, 2), added to.
 
-    Source: Bergou 2008, discrete elastic rods, in the plane; Huang 2022 for the energies and the drag law.
+    Source: Bergou, Wardetzky, Robinson, Audoly, Grinspun 2008, Discrete Elastic Rods, ACM Trans. Graph.
+    27(3); Jawed, Novelia, O'Reilly 2018, A Primer on the Kinematics of Discrete Elastic Rods (turning angle
+    and curvature); Huang 2022 for the energies and the drag law.
     """
     for edge in range(mesh.edge_nodes.shape[0]):
         i, j = mesh.edge_nodes[edge, 0], mesh.edge_nodes[edge, 1]

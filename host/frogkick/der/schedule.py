@@ -1,12 +1,11 @@
-"""Step sizes, and the activation of limbs in the steps.
+"""Step-size control, and the activation of limbs in each step.
 
-Most of a stroke's error comes from times at which its activation bends: the local error of a step grows with
-its square and with the second derivative of the forcing. So steps have the default length while a limb
-straightens, and lengthen as the square root of that derivative falls, up to COARSEST times, or
-COARSEST_AT_REST times when all strokes are over. While the frame oscillates after a stroke (at some 40 Hz),
-steps are short enough to resolve the oscillation: the thrust of the next stroke depends on its phase. Steps
-end at the starts and ends of strokes, because kinks of the activation inside a step would reduce the order of
-convergence.
+The local error of a step grows with the square of its length and with the second derivative of the
+activation. So steps have the finest length while a limb straightens. They lengthen as the square root of that
+derivative falls, up to COARSEST times, or COARSEST_AT_REST times when all strokes are over. After a stroke
+the frame oscillates at some 40 Hz, and the thrust of the next stroke depends on the phase of this
+oscillation. Steps stay short enough to resolve it. They end at the starts and ends of strokes, because a kink
+of the activation inside a step would reduce the order of convergence.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ from frogkick.robot import Actuation
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-COARSEST = 8.0  # longest step over the finest; limbs that curl back need more corrections beyond, not fewer
+COARSEST = 8.0  # longest step over the finest; beyond it, limbs that curl back need more corrections per step
 COARSEST_AT_REST = 12.0  # the same while no stroke lasts
-SHARP_PER_S2 = 600.0  # second derivative of the activation that wants the finest steps
-SLIVER = 0.1  # of the finest step: kinks closer together than that are one
-RINGS_S = 0.8  # how long the frame swings after a stroke starts; with 0.6 two of 192 gaits err by over 0.2 %
-COARSEST_WHILE_IT_RINGS = 2.0  # with 3 four gaits do
-AHEAD_S, BEHIND_S = 0.008, 0.016  # how long before and after a bend its steps are fine
+SHARP_PER_S2 = 600.0  # second derivative of the activation from which on steps are the finest
+SLIVER = 0.1  # of the finest step: kinks that are closer together count as one
+RINGS_S = 0.8  # so long the frame oscillates after a stroke starts; 0.6 errs over 0.2 % in 2 of 192 gaits
+COARSEST_WHILE_IT_RINGS = 2.0  # longest step over the finest meanwhile; with 3, four gaits err so
+AHEAD_S, BEHIND_S = 0.008, 0.016  # steps are fine so long before and after a large second derivative
 
 
 class Stroke(NamedTuple):
-    """A limb's stroke: its start, its gain over the measured one, and the scale of its duration.
+    """A limb's stroke: its start, its gain, and the scale of its duration, over the measured stroke.
 
     The time until the limb is straight is the measured one; the rest is scaled by ``duration_scale``.
     """
@@ -114,7 +113,7 @@ class Profiles(NamedTuple):
 
 
 class Schedule:
-    """Strokes of several lanes, and the steps that follow from them.
+    """Strokes of several lanes, and the time steps that resolve them.
 
     Args:
         actuations: for each lane the effect of its strokes on a limb.

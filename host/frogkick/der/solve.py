@@ -1,6 +1,9 @@
-"""Factor and solve the rods' symmetric linear systems, for one simulation or many side by side.
+"""Numeric block factorisation L D L^T of the rods' linear systems, and their solution.
 
-Arrays have the elements of ``frogkick.der.lanes``. The four components of a block are stored row by row.
+The functions work on one simulation or on many side by side: arrays have the elements of
+``frogkick.der.lanes``. The four components of a 2 x 2 block are stored row by row.
+
+Source: George, Liu 1981, Computer Solution of Large Sparse Positive Definite Systems.
 """
 
 from __future__ import annotations

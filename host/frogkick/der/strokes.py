@@ -63,7 +63,7 @@ class NoEffects:
 
 
 def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> list[tuple[float, int]]:
-    """Return the strokes of an action."""
+    """Return the strokes of an action that starts at ``start_s``."""
     strokes = [(start_s, action.first_mask), (start_s + robot.second_delay_s, action.second_mask)]
     return [(time, mask) for time, mask in strokes if mask]
 
@@ -80,8 +80,8 @@ def simulate_many(
 ) -> Motions:
     """Simulate robots of one mesh from rest poses, limbs at rest, ``width`` at a time.
 
-    Each result is the same bit for bit, whatever else is simulated with it. Lanes with the same strokes share
-    most of their steps.
+    Each result has the same bits, whatever else is simulated with it. Lanes with the same strokes share most
+    of their steps.
 
     Args:
         rods: of all simulations, or one for each; these may differ only in actuation.
@@ -138,7 +138,12 @@ def simulate_many(
 def cubic(
     p: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, length_s: FloatArray, share: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Value and slope, at a share of the way, of the cubic from p with slope v to q with slope w."""
+    """Return value and slope of the cubic Hermite interpolant from p with slope v to q with slope w.
+
+    Args:
+        p, q: (k, d) values at both ends; v, w: (k, d) slopes there, per second.
+        length_s: (k, 1) time between the ends; share: (k, 1) place in between, 0 to 1.
+    """
     bend = 3.0 * (q - p) - length_s * (2.0 * v + w)
     twist = length_s * (v + w) - 2.0 * (q - p)
     value = p + share * (length_s * v + share * (bend + share * twist))
@@ -146,7 +151,7 @@ def cubic(
 
 
 def interpolate(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses and body velocities at any times between the ends of steps.
+    """Interpolate poses and body velocities between the ends of steps (cubic Hermite).
 
     Args:
         ends_s: (k,) increasing times.
@@ -154,8 +159,8 @@ def interpolate(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tup
         time_s: (s,) times within.
 
     Returns:
-        (s, 3) poses, heading continuous, and (s, 3) velocities: a cubic with the poses and velocities of both
-        ends, and its derivative; exactly those of an end at its time.
+        (s, 3) poses, heading continuous, and (s, 3) velocities, body frame. At the end of a step they are
+            exactly those of its row.
     """
     pose = rows[:, :3].copy()
     pose[:, 2] = np.unwrap(pose[:, 2])

@@ -18,7 +18,7 @@ from frogkick.effects.registry import effects_of
 from frogkick.robot import Robot
 
 LEG_S = 0.02
-"""Time for which flows and wrenches are constant (zero-order hold) before they are evaluated again."""
+"""Zero-order hold: flows and wrenches are constant for this time, and are then evaluated again."""
 
 _APART_M = 0.01  # spacing of the finite difference of the flow about the body's centre
 
@@ -45,8 +45,11 @@ def rods_of(robot: Robot) -> Rods:
 
 
 def body_effects(robot: Robot) -> tuple[Effect, ...]:
-    """Return the effects of a robot's file that belong to its body, without their chance: all but flows of
-    the water and laws that hang on what a library does not know (``Effect.in_tables``)."""
+    """Return the effects of a robot's file that belong to its body, without randomness.
+
+    These are all effects but flows of the water, and laws that depend on what a library does not contain
+    (``Effect.in_tables``).
+    """
     return tuple(
         effect.likeliest()
         for effect in effects_of(robot)

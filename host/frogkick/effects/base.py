@@ -106,7 +106,7 @@ class History:
 
 
 IN_BODY = ("robot", "stroke", "wrench")
-"""What effects in the body override; others are in the water or the camera."""
+"""Methods that effects on the body override; other effects act on the water or the camera."""
 
 
 class Effect:
@@ -118,7 +118,7 @@ class Effect:
         options: further keys in TOML files with their defaults (None: the key is required).
         about: the physics, in one line.
         shown_by: data that could show it, in one line.
-        joint_only: it can only be identified jointly with others of its kind, from many runs.
+        joint_only: it can only be identified jointly with other such effects, from many runs.
     """
 
     name: ClassVar[str] = ""
@@ -162,7 +162,7 @@ class Effect:
 
     @property
     def uniform(self) -> bool:
-        """Whether its flow is the same everywhere; it is then asked at one place only."""
+        """Whether its flow is the same everywhere; it is then evaluated at one place only."""
         return False
 
     @property
@@ -198,20 +198,19 @@ class Effect:
             low_m, high_m: (2,) corners of the area of the runs, world frame.
 
         Returns:
-            For each start the values of the parameters that place the effect (not of its strength); empty if
-                any
-            values will do.
+            For each start the values of the parameters that place the effect, but not of its strength; empty
+                if any values will do.
         """
         return ()
 
     @property
     def in_tables(self) -> bool:
-        """Whether a table of transitions can hold it: it is in the body, and hangs on velocities and strokes
-        but not on place, heading or time."""
+        """Whether a table of transitions can hold it: it acts on the body, and depends on velocities and
+        strokes but not on place, heading or time."""
         return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in IN_BODY)
 
     def likeliest(self) -> Effect:
-        """The effect without its chance: what it most likely does. Predictions are made with it."""
+        """Return the effect without randomness, as it most likely acts; predictions use it."""
         return self
 
     def robot(self, robot: Robot) -> Robot:

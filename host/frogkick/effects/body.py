@@ -1,8 +1,8 @@
 """Effects of the body's construction that its drawing does not contain.
 
-Added mass, drag and thrust of the limbs can only be distinguished by many runs together. So a search does not
-test these effects one at a time; they are fitted to runs jointly, starting from the values of a robot that
-was measured (see frogkick.identification.calibrated).
+Added mass, drag and thrust of the limbs are confounded in a single run, and only many runs distinguish them.
+So a search does not test these effects one at a time. It fits them jointly, and starts from the values of a
+robot that was calibrated before (see ``frogkick.identification.calibrated``).
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import numpy as np
 
 from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
 from frogkick.effects.inertia import with_inertia
-from frogkick.effects.limbs import require_group
+from frogkick.effects.limbs import GroupEffect
+from frogkick.effects.water import times_drag, times_mass
 from frogkick.robot import Limb, Robot
 
-_FATIGUE_STROKES = 24  # of a limb, that are remembered: older ones have faded
+_FATIGUE_STROKES = 24  # strokes of a limb that count; the effect of older ones has faded
 
 
 class Hull(Effect):
@@ -41,31 +42,18 @@ class Hull(Effect):
     limb_drag: float
 
     def robot(self, robot: Robot) -> Robot:
-        frame = robot.frame
-        plain = frame.mass_per_length_kg_per_m
-        whole = self.mass * (plain + frame.added_mass_per_length_kg_per_m)
-        body = replace(
-            with_inertia(frame, (0.0, 0.0), self.centre_share),
-            mass_per_length_kg_per_m=min(plain, whole),
-            added_mass_per_length_kg_per_m=max(0.0, whole - plain),
-            drag_normal=frame.drag_normal * self.frame_drag,
-            drag_tangential=frame.drag_tangential * self.frame_drag,
-        )
-        return replace(robot, frame=body, limbs=tuple(self._limb(limb) for limb in robot.limbs))
-
-    def _limb(self, limb: Limb) -> Limb:
-        return replace(
-            limb,
-            drag_normal=limb.drag_normal * self.limb_drag,
-            drag_tangential=limb.drag_tangential * self.limb_drag,
-        )
+        frame = times_mass(with_inertia(robot.frame, (0.0, 0.0), self.centre_share), self.mass)
+        limbs = tuple(times_drag(limb, self.limb_drag) for limb in robot.limbs)
+        return replace(robot, frame=times_drag(frame, self.frame_drag), limbs=limbs)
 
 
 _PLATES = (
     (1.0, 1.25, 1.5, 1.59, 2.0, 2.5, 3.0, 4.0, 5.0, 6.25, 8.0, 10.0),
     (0.579, 0.642, 0.690, 0.704, 0.757, 0.801, 0.830, 0.872, 0.897, 0.917, 0.934, 0.947),
 )
-"""Sides' ratio of a rectangular plate, and its added mass over that of a part of a long one (DNV-RP-C205)."""
+"""Aspect ratio of a rectangular plate, and its added mass over that of an equal part of an infinite one.
+
+Source: DNV-RP-C205."""
 
 
 def plate_mass_kg_per_m(limb: Limb, density_kg_per_m3: float) -> float:
@@ -81,7 +69,7 @@ def plate_mass_kg_per_m(limb: Limb, density_kg_per_m3: float) -> float:
 
 
 class LimbPlate(Effect):
-    """A limb is a plate: it takes water along across itself and none along, and its tip leaves some behind.
+    """A limb is a plate: water moves with it across but not along, and its tip sheds some of the momentum.
 
     For the paper's limbs, 35.5 mm long and 24 mm high, this is 0.31 kg/m, 23 times the added mass of the
     model's round rod, which acts in all directions. See ``frogkick.der.plates`` for the force.
@@ -115,7 +103,7 @@ class LimbPlate(Effect):
         )
 
 
-class LimbMount(Effect):
+class LimbMount(GroupEffect):
     """Limbs have other directions at their corners than in the drawing: by glue, or by their rest
     curvature."""
 
@@ -124,26 +112,21 @@ class LimbMount(Effect):
     shown_by = "how far strokes push aside and turn, against how far they push forward"
     joint_only = True
     parameters = (Parameter("outward_deg", "deg", -45.0, 45.0, 0.0, "turn of the root's tangent"),)
-    options = {"group": None}
 
-    group: str
     outward_deg: float
-
-    def check(self, robot: Robot) -> None:
-        require_group(self, self.group, robot)
 
     def robot(self, robot: Robot) -> Robot:
         return replace(robot, limbs=tuple(self._limb(limb) for limb in robot.limbs))
 
     def _limb(self, limb: Limb) -> Limb:
-        if self.group not in limb.name.split("_"):
+        if not self.acts_on(limb.name):
             return limb
         # A root that points back and to the left turns clockwise to point more to the left.
         side = math.copysign(1.0, math.sin(limb.direction_rad))
         return replace(limb, direction_rad=limb.direction_rad - side * math.radians(self.outward_deg))
 
 
-class LimbFatigue(Effect):
+class LimbFatigue(GroupEffect):
     """A limb that fired often is warm throughout: each earlier stroke reduces this one."""
 
     name = "limb_fatigue"
@@ -154,17 +137,12 @@ class LimbFatigue(Effect):
         Parameter("loss", "1", -0.3, 0.5, 0.0, "share lost for each stroke of just before"),
         Parameter("fade_s", "s", 0.3, 10.0, 2.5, "time in which that falls to 37 %"),
     )
-    options = {"group": None}
 
-    group: str
     loss: float
     fade_s: float
 
-    def check(self, robot: Robot) -> None:
-        require_group(self, self.group, robot)
-
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        if self.group in stroke.limb.split("_"):
+        if self.acts_on(stroke.limb):
             earlier = [then for then, limb in history.strokes if limb == stroke.index][-_FATIGUE_STROKES:]
             use = sum(math.exp((then - stroke.time_s) / self.fade_s) for then in earlier)
             stroke.gain *= max(0.0, 1.0 - self.loss * use)
@@ -172,7 +150,10 @@ class LimbFatigue(Effect):
 
 
 class MunkMoment(Effect):
-    """A body whose added mass differs forward and sideways turns while it drifts (Munk's moment)."""
+    """A body whose added mass differs forward and sideways turns while it drifts.
+
+    Source: Munk 1924, NACA report 184; Lamb 1932, article 124.
+    """
 
     name = "munk_moment"
     about = "a torque in proportion to forward times sideways speed"

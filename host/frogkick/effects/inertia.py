@@ -47,7 +47,7 @@ def with_inertia(frame: Frame, moved_m: tuple[float, float], share: float) -> Fr
     centre = had * at + np.array(moved_m)
     inertia = (1.0 - share) * ((1.0 - had) + had * float(at @ at) / k**2)
     apart = float(centre @ centre) / k**2
-    # Of S p = centre and (1 - S) + S p^2 / k^2 = inertia the root that is a share.
+    # The root S, between 0 and 1, of S p = centre and (1 - S) + S p^2 / k^2 = inertia.
     less = 1.0 - max(inertia, apart + _LEAST_INERTIA)
     point = 0.5 * (less + math.sqrt(less * less + 4.0 * apart))
     if point < 1e-9:

@@ -8,7 +8,7 @@
     stiffness = { value = 0.05, unit = "N/m", low = 0.0, high = 1.0 }
     slack_x = { value = 0.3, unit = "m" }
 
-See ``formula`` for what a formula may hold, and CHANNELS and NAMES for what it gives and what it knows.
+``formula`` describes the language, CHANNELS the results of formulas, and NAMES the variables that they use.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ NAMES: Mapping[str, Mapping[str, str]] = {
 }
 """What a law acts on -> the names that its formulas may use besides its parameters, and their units.
 
-``time_s`` counts from the start of the run. For a stroke: ``strokes`` number of earlier pulses, ``since_s``
-time since the last stroke of the same limb, ``since_LIMB_s`` time since that of another limb, ``chance`` a
-random number from 0 to 1 for each stroke or fix."""
+``time_s`` counts from the start of the run. ``chance`` is a random number from 0 to 1, drawn for each stroke
+or fix. For a stroke, ``strokes`` is the number of earlier pulses, ``since_s`` the time since the last stroke
+of the same limb, and ``since_LIMB_s`` the time since the last stroke of another limb."""
 
 NOT_IN_TABLES = (*_POSE, "strokes")
-"""What no table of transitions knows: a law that hangs on any of these is left out of libraries."""
+"""Names that no table of transitions contains: a law that uses one of them is left out of libraries."""
 
 LONG_AGO_S = 1e3
 """Time since the last stroke of a limb that has not fired yet."""
@@ -200,7 +200,7 @@ class Law(Effect):
         return [self._formulas[key](values) if key in self._formulas else 0.0 for key in keys]
 
     def _chance(self, rng: np.random.Generator) -> float:
-        """A number from 0 to 1; the middle one for what is likeliest."""
+        """Return a random number from 0 to 1; of ``likeliest`` always the median."""
         return float(rng.random()) if self.by_chance and self._drawn else 0.5
 
     def over(self, values: Mapping[str, FloatArray | float]) -> dict[str, FloatArray]:

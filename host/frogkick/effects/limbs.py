@@ -14,22 +14,28 @@ from frogkick.robot import Robot
 ALL = "all"
 
 DELAYS_S = (0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12, 0.135, 0.15, 0.18, 0.22, 0.26)
-"""Spacing below half a period of the frame's oscillation, some 25 ms: a delayed stroke meets another phase
-of it."""
+"""Starting values of a delay. A delay shifts the stroke against the frame's oscillation of some 25 ms, so the
+fit has local minima; the spacing is below half of that period."""
 
 
-def require_group(effect: Effect, group: str, robot: Robot) -> None:
-    """Raise an error if a word is in no limb's name.
+class GroupEffect(Effect):
+    """An effect on the limbs whose name has a word in it: front, rear, left, right."""
 
-    Raises:
-        InputError: the text names the words that are.
-    """
-    words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
-    if group not in words:
-        raise InputError(
-            f"effect {effect.title!r}: robot {robot.id!r} has no limb with {group!r} in its name: "
-            f"choose from {', '.join(words)}"
-        )
+    options = {"group": None}
+
+    group: str
+
+    def check(self, robot: Robot) -> None:
+        words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
+        if self.group not in words:
+            raise InputError(
+                f"effect {self.title!r}: robot {robot.id!r} has no limb with {self.group!r} in its name: "
+                f"choose from {', '.join(words)}"
+            )
+
+    def acts_on(self, limb: str) -> bool:
+        """Return whether the name of a limb has the word."""
+        return self.group in limb.split("_")
 
 
 class LimbWear(Effect):
@@ -143,7 +149,7 @@ class GroupLoss(Effect):
         return stroke
 
 
-class GroupGain(Effect):
+class GroupGain(GroupEffect):
     """Limbs of one group differ from the model: in the wake of other limbs, or built differently."""
 
     name = "group_gain"
@@ -155,17 +161,12 @@ class GroupGain(Effect):
             "duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long as measured it takes to curl back"
         ),
     )
-    options = {"group": None}
 
-    group: str
     gain: float
     duration_scale: float
 
-    def check(self, robot: Robot) -> None:
-        require_group(self, self.group, robot)
-
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        if self.group in stroke.limb.split("_"):
+        if self.acts_on(stroke.limb):
             stroke.gain *= self.gain
             stroke.duration_scale *= self.duration_scale
         return stroke

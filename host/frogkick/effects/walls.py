@@ -25,13 +25,13 @@ REACH_M = 0.08
 SOFT_N_PER_M = 8.0
 """Stiffness at each corner of a wall of hardness 1/2: a robot stops about a centimetre deep in it.
 
-The depth falls linearly with the hardness, not with the force; a fit needs this."""
+The stiffness is SOFT_N_PER_M h / (1 - h), so that the depth falls linearly with the hardness h, for a fit."""
 
 LOSSY_S = 0.05
 """Damping over stiffness: a limb or a bumper that is pressed in returns little energy."""
 
 HARDNESSES = (0.35, 0.5, 0.65)
-"""Starting values: the drag of a wall that stops a robot does not show how deep the robot comes."""
+"""Starting values of a fit: the drag near a wall does not show how deep the robot gets into it."""
 
 _POINT_M = 0.045
 """Corners of a body of unknown size: half the width of a hand-sized one."""
@@ -42,14 +42,14 @@ class Wall(Effect):
 
     It acts on each corner of the frame, so a body is turned as well, towards the side that is held back.
     Within REACH_M the resistance grows linearly up to the wall. Beyond the wall a corner is pushed back in
-    proportion to its depth, more while it moves in and less while it moves out (LOSSY_S), and never pulled. A
-    bank of weeds has mostly the first, a bare wall mostly the second.
+    proportion to its depth, more while it moves in and less while it moves out (LOSSY_S), and never pulled
+    (Kelvin-Voigt contact). A bank of weeds has mostly the resistance, a bare wall mostly the push.
     """
 
     name = "wall"
     in_tables = False
     about = "along one side of the pool water resists more, and a wall pushes back what touches it"
-    shown_by = "misses against one direction of the world, only at that end of the pool; turns along it"
+    shown_by = "residuals against one direction of the world, only at that end of the pool; turns along it"
     parameters = (
         Parameter(
             "at_m",
@@ -68,10 +68,10 @@ class Wall(Effect):
             0.0,
             0.8,
             0.0,
-            "h of a push over depth of SOFT_N_PER_M h / (1 - h)",
+            "h of the stiffness SOFT_N_PER_M h / (1 - h) at each corner",
             step=0.5,
             grid=HARDNESSES,
-            tolerance=0.05,  # what it does hangs on tenths of a millimetre
+            tolerance=0.05,  # the contact changes within tenths of a millimetre
         ),
     )
     options = {"side": "x_high"}

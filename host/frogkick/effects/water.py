@@ -55,8 +55,7 @@ class ShearCurrent(Effect):
 
 
 class Vortex(Effect):
-    """A vortex with a core: inside it the water turns like a solid, outside the speed falls with the
-    distance."""
+    """Rankine's vortex: its core turns like a solid, and outside of it the speed falls with the distance."""
 
     name = "vortex"
     about = "the water whirls around a point (Rankine's vortex)"
@@ -100,20 +99,8 @@ class DragScale(Effect):
     limbs: float
 
     def robot(self, robot: Robot) -> Robot:
-        body = replace(
-            robot.frame,
-            drag_normal=robot.frame.drag_normal * self.frame,
-            drag_tangential=robot.frame.drag_tangential * self.frame,
-        )
-        limbs = tuple(
-            replace(
-                limb,
-                drag_normal=limb.drag_normal * self.limbs,
-                drag_tangential=limb.drag_tangential * self.limbs,
-            )
-            for limb in robot.limbs
-        )
-        return replace(robot, frame=body, limbs=limbs)
+        limbs = tuple(times_drag(limb, self.limbs) for limb in robot.limbs)
+        return replace(robot, frame=times_drag(robot.frame, self.frame), limbs=limbs)
 
 
 class MassScale(Effect):
@@ -131,11 +118,16 @@ class MassScale(Effect):
     limbs: float
 
     def robot(self, robot: Robot) -> Robot:
-        limbs = tuple(_times_mass(limb, self.limbs) for limb in robot.limbs)
-        return replace(robot, frame=_times_mass(robot.frame, self.frame), limbs=limbs)
+        limbs = tuple(times_mass(limb, self.limbs) for limb in robot.limbs)
+        return replace(robot, frame=times_mass(robot.frame, self.frame), limbs=limbs)
 
 
-def _times_mass(part: Part, factor: float) -> Part:
+def times_drag(part: Part, factor: float) -> Part:
+    """Return a frame or limb whose drag coefficients are scaled."""
+    return replace(part, drag_normal=part.drag_normal * factor, drag_tangential=part.drag_tangential * factor)
+
+
+def times_mass(part: Part, factor: float) -> Part:
     """Return a frame or limb whose total mass is scaled; its own mass stays the same if possible."""
     plain = part.mass_per_length_kg_per_m
     whole = factor * (plain + part.added_mass_per_length_kg_per_m)

@@ -1,7 +1,8 @@
-"""The estimator's twin: the state at a decision's time from fixes that may be late, lost, duplicate or wrong.
+"""The state at the time of a decision, from fixes that may be late, lost, duplicate or wrong.
 
-Each operation is float32 in a fixed order, with the same bits as the separate
-``firmware/core/fk_estimator.c``.
+A duplicate filter and an outlier buffer stand before the Kalman filter (``frogkick.estimator.track``). Three
+outliers in a row that agree with each other reset the pose. This is the twin of
+``firmware/core/fk_estimator.c``: each operation is float32 in a fixed order, with the same bits.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ class Estimate:
     Attributes:
         state: (6,) float32 x_m, y_m, heading_rad (world), vx_mps, vy_mps, omega_rad_s (body).
         limb_use: (8,) uint16 recent use of each limb.
-        fix_sequence: newest fix in it.
-        fixes: number of fixes in it, at most 255. With one fix the velocity is unknown and taken as zero.
+        fix_sequence: number of the newest fix in the estimate.
+        fixes: number of fixes in the estimate, at most 255. After one fix the velocity is unknown and taken
+            as zero.
     """
 
     state: npt.NDArray[np.float32]
@@ -50,7 +52,7 @@ class Estimate:
 
 
 class Estimates(Protocol):
-    """An estimator: ``Estimator``, or one of a study."""
+    """What decisions need of an estimator: ``Estimator``, or an estimator of a study."""
 
     @property
     def newest_capture_us(self) -> int | None: ...
@@ -76,10 +78,10 @@ class _Fix:
 
 @dataclass
 class Estimator:
-    """Predicts from decision to decision with a table, and corrects by fixes.
+    """Predicts from decision to decision with a table, and corrects the prediction by fixes.
 
     Attributes:
-        tables: of the prediction.
+        tables: tables of the prediction.
         restarts: number of resets to outliers that agree with each other.
     """
 
@@ -107,9 +109,8 @@ class Estimator:
             sequence: number of the fix.
 
         Returns:
-            OK, or why it is refused: RANGE (not finite, beyond 1000 m or rad), DOUBLE (a duplicate), OLD
-                (before
-            the oldest instant), OUTLIER (outside of the gate).
+            OK, or why it is refused: RANGE (not finite, or beyond 1000 m or rad), DOUBLE (a duplicate), OLD
+                (before the oldest instant), OUTLIER (outside the gate).
         """
         fix = _Fix(int(capture_us), np.array(pose_world, dtype=np.float32), int(sequence))
         if not (np.abs(fix.pose) <= FIELD_M).all():
@@ -126,7 +127,7 @@ class Estimator:
             self.track.act(at_us, action)
 
     def at(self, at_us: int) -> Estimate | None:
-        """The state at a time; None without a recent fix."""
+        """Return the state at a time; None if the newest fix is over STALE_US older or FUTURE_US newer."""
         newest = self._newest
         if newest is None or not self._fixes or not -FUTURE_US <= at_us - newest.capture_us <= STALE_US:
             return None
@@ -195,7 +196,7 @@ class Estimator:
 
 
 def _agree(a: _Fix, b: _Fix) -> bool:
-    """Whether two fixes can be of a robot that swam in between."""
+    """Return whether a robot could have swum from one fix to the other."""
     apart_s = np.float32(abs(a.capture_us - b.capture_us)) * _MICROSECOND
     offset = a.pose - b.pose
     reach_m = _OUTLIERS_AGREE_M + _OUTLIERS_AGREE_MPS * apart_s

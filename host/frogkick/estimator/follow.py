@@ -25,6 +25,9 @@ class End(enum.Enum):
 class Follow:
     """Progress of one run along a path.
 
+    A decision makes progress if it brings the robot a quarter of its longest stroke further along the path,
+    or that much nearer to it. After IDLE_DECISIONS_MAX decisions without progress the run has stalled.
+
     Attributes:
         along_points: float32, place along the path at the last decision, in points; 0 at the start.
     """
@@ -33,16 +36,12 @@ class Follow:
         self._path = path_rows(path)
         self._reach_m = np.float32(tables.stroke_max_m)
         self._is_route = config.cost == Cost.ROUTE
-        self.begin()
-
-    def begin(self) -> None:
-        """Start a run."""
         self.along_points = np.float32(0.0)
         self._mark: tuple[np.float32, tuple[np.float32, np.float32], np.float32] | None = None
         self._idle = 0
 
     def decided(self, plan: Plan) -> End | None:
-        """Note a decision; return why it ends the run, or None."""
+        """Note a decision; return why the run ends with it, or None."""
         self.along_points = plan.along_points
         self._note_progress(plan.distance_m)
         if plan.path_index + 1 >= self._path.shape[1]:
@@ -50,7 +49,10 @@ class Follow:
         return End.STALLED if self._idle >= IDLE_DECISIONS_MAX else None
 
     def fixed(self, x_m: np.float32, y_m: np.float32) -> End | None:
-        """Note a fix; with the route cost a run ends where it crosses the path's end."""
+        """Note a fix; return why the run ends with it, or None.
+
+        With the route cost a run ends as soon as it crosses the path's end.
+        """
         if self._mark is None or not self._is_route:
             return None
         stroke_max = route.stroke_scale(self._reach_m)

@@ -1,7 +1,18 @@
-"""A Kalman filter with fixed-lag smoothing: the twin of fk_profile.c, fk_covariance.c and fk_track.c.
+"""A Kalman filter with fixed-lag smoothing, one for each of x, y and heading, in the world frame.
 
-It is written from their headers, with arrays that grow and shrink instead of fixed ones. The two share the
-order of float32 operations, each rounded once, and the numbers below.
+    state  pose and speed at the last INSTANTS instants; an instant is a time at which an action starts
+    F      the table predicts the mean; for the covariance over a period T, p' = p + 0.8 T v and v' = 0.7 v
+    Q      q ((0.8 T, 0.7) (0.8 T, 0.7)^T + 0.04 diag(T^2, 1)); q is adapted from the innovations
+    H      ``Profile``: the pose at any time from poses and speeds at both ends of its period
+    R      the variance of a fix, and of the profile's own error
+    gate   five standard deviations of the innovation and a margin, for the position and for the heading
+
+A late fix therefore corrects the state at its own time and all states since. The filter is the twin of
+fk_covariance.c and fk_track.c. It is written from their headers, with arrays that grow and shrink. Both take
+the same float32 operations in the same order, and round each once.
+
+Source: Anderson, Moore 1979, Optimal Filtering, chapter 7 (fixed-lag smoothing); Mehra 1970, IEEE Trans.
+Autom. Control 15(2) (process noise from innovations).
 """
 
 from __future__ import annotations
@@ -13,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.compiled import kept, stamp_of
+from frogkick.estimator.profile import Profile, profile_after, profile_within, weighted
 from frogkick.estimator.wear import HELD, OFF, WearFilter
 from frogkick.planner import floats
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
@@ -29,7 +41,6 @@ PERIOD_LEAST_US = 50_000
 _F = np.float32
 _MICROSECOND = _F(1e-6)
 _TIME_MAX_US = 2**32 - 1
-_GLIDE_PART = _F(0.41666667)
 _PULL, _REMAINS, _APART, _RESTING = _F(0.8), _F(0.7), _F(0.2), _F(0.0625)
 _SHAPE_OF_NOISE_S2, _SHAPE_COMMON = _F(0.0064), _F(0.3)
 _INFLATION = _F(4)
@@ -56,73 +67,13 @@ _POSE_UNKNOWN = _pair(0.01, 1.0)
 _SPEED_UNKNOWN = _pair(2.5e-3, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
-    """Pose and speed at a time within a period, as weights of those at its start and end.
-
-    Attributes:
-        pose, speed: (4,) float32 weights of pose and speed at the start, pose and speed at the end.
-        doubt: 0 to 1, share of the profile's own error.
-    """
-
-    pose: Float32
-    speed: Float32
-    doubt: np.float32
-
-
-def profile_after(after_s: np.float32) -> Profile:
-    """The weights at a time after the end, at constant speed."""
-    return Profile(
-        np.array([0, 0, 1, after_s], dtype=np.float32), np.array([0, 0, 0, 1], dtype=np.float32), _F(0)
-    )
-
-
-def profile_within(since_s: np.float32, period_s: np.float32, fire_s: np.float32) -> Profile:
-    """The weights at a time after the start: speed is linear while limbs fire, then as (u + u^2) / 2."""
-    one, half = _F(1), _F(0.5)
-    x = since_s / period_s
-    rest = (one - x) * (one - x)
-    fire = min(fire_s / period_s, half)
-    half_fire, glide = half * fire, one - fire
-    glide_part = _GLIDE_PART * glide
-    per_way = one / (half_fire + glide_part)
-    per_start = -half_fire * per_way
-    per_end = -(glide - glide_part) * per_way
-    if x <= fire:
-        share = x / fire
-        area = half * (x * share)
-        at_start, at_end = x - area, _F(0)
-        share_start, share_end = one - share, _F(0)
-        doubt = share * rest
-    else:
-        s = (x - fire) / glide
-        u = one - s
-        curve = glide * ((s - _F(0.75) * (s * s)) + _F(0.16666667) * ((s * s) * s))
-        area = half_fire + curve
-        at_start, at_end = half_fire, (x - fire) - curve
-        share = half * (u * (one + u))
-        share_start, share_end = _F(0), one - share
-        doubt = rest
-    way = area * per_way
-    way_speed = share * per_way / period_s
-    pose = [one - way, (at_start + area * per_start) * period_s, way, (at_end + area * per_end) * period_s]
-    speed = [-way_speed, share_start + share * per_start, way_speed, share_end + share * per_end]
-    return Profile(np.array(pose, dtype=np.float32), np.array(speed, dtype=np.float32), doubt)
-
-
-def _weighted(weights: Float32, values: Float32) -> Float32:
-    """Weights (4,) times the last axis (..., 4), added from the left."""
-    parts = weights * values
-    return np.asarray(((parts[..., 0] + parts[..., 1]) + parts[..., 2]) + parts[..., 3])
-
-
 def wrapped(angle: np.float32) -> np.float32:
-    """An angle in (-pi, pi], float32 again, as numba returns Python's float."""
+    """Return an angle in (-pi, pi] as float32, because numba returns a float of Python."""
     return np.float32(floats.wrap_angle(angle))
 
 
 def sine_cosine(angle: np.float32) -> tuple[np.float32, np.float32]:
-    """Sine and cosine, float32 again."""
+    """Return sine and cosine as float32."""
     sine, cosine = floats.sincos(angle)
     return np.float32(sine), np.float32(cosine)
 
@@ -132,7 +83,7 @@ def _seconds(time_us: int) -> np.float32:
 
 
 def resting_action_of(tables: Tables) -> int:
-    """The first action that fires no limb; the number of actions if there is none."""
+    """Return the first action that fires no limb, or the number of actions if there is none."""
     still = [i for i, row in enumerate(tables.actions) if not row.first_mask | row.second_mask]
     return still[0] if still else len(tables.actions)
 
@@ -150,15 +101,15 @@ class _Instant:
 
 @dataclass
 class Track:
-    """States at the last instants.
+    """The filter: mean and covariance of the states at the last instants.
 
     Attributes:
-        tables: of the prediction, with what the limbs have lost.
+        tables: tables of the prediction, worn as the limbs are.
         instants: oldest first; the last is the end of the current period.
         mean: (3, 2 n) float32 x, y, heading: pose and speed at each instant, world.
         covariance: (2, 2 n, 2 n) float32 of x and of y, of heading.
         process_noise: (2,) float32 variance of a stroke's speed around the table's prediction.
-        wear: learns what the limbs have lost; None: nothing learns.
+        wear: estimates what the limbs have lost; None: they are taken as new.
     """
 
     tables: Tables
@@ -180,21 +131,21 @@ class Track:
         self._teaches = False
 
     def inflate(self) -> None:
-        """Raise the process noise, after the robot was not where it was predicted."""
+        """Quadruple the process noise: the robot was not where it had been predicted."""
         self.process_noise = np.minimum(_INFLATION * self.process_noise, _PROCESS_NOISE_MOST)
 
     def learn(self, learn: int) -> None:
-        """Learn what the limbs have lost, or not any more: OFF, which forgets it, ON or HELD of ``wear``."""
+        """Set whether the limbs' wear is estimated: ON, HELD or OFF of ``wear``. OFF forgets the estimate."""
         if learn != OFF:
             self.wear = self.wear or WearFilter(self._original)
             self.wear.held = learn == HELD
         elif self.wear is not None:
-            self._teaches = False  # the period under way was predicted with what is forgotten
+            self._teaches = False  # the current period was predicted with the wear that is forgotten
             self.wear = None
             self._use(self._original)
 
     def forget(self) -> None:
-        """Forget everything but the process noise and what the limbs have lost."""
+        """Forget all states; keep the process noise and what the limbs have lost."""
         self.instants = []
 
     def begin(self, at_us: int) -> None:
@@ -202,7 +153,7 @@ class Track:
         self._begin(at_us, self.resting_action, coasted=True)
 
     def coast(self, at_us: int) -> None:
-        """Predict periods of rest until a time; forget after too many."""
+        """Predict periods of rest until a time; after COASTS_MAX of them forget all states."""
         for _ in range(COASTS_MAX):
             if not self.instants or at_us <= self.instants[-1].time_us + COAST_US:
                 return
@@ -211,7 +162,7 @@ class Track:
             self.forget()
 
     def act(self, at_us: int, action: int) -> None:
-        """Start an action at a time, which becomes that of the newest instant."""
+        """Start an action at a time, which becomes the time of the newest instant."""
         if not self.instants:
             self._begin(at_us, action, coasted=False)
             return
@@ -230,30 +181,41 @@ class Track:
         self._open(action, coasted=False)
 
     def limb_use(self, at_us: int) -> npt.NDArray[np.int64]:
-        """(8,) recent use of each limb, for an action that starts at a time."""
+        """Return (8,) the recent use of each limb, for an action that starts at a time."""
         return self.instants[-2 if self._is_hasty(at_us) else -1].limb_use
 
     def state(self, at_us: int) -> tuple[Float32, Float32]:
-        """Pose (3,) and speed (3,) at a time, not before the oldest instant."""
+        """Return pose (3,) and speed (3,), world frame, at a time that is not before the oldest instant."""
         first, profile = self._profile(at_us)
         there = self.mean[:, 2 * first : 2 * first + 4]
-        return _weighted(profile.pose, there), _weighted(profile.speed, there)
+        return weighted(profile.pose, there), weighted(profile.speed, there)
 
     def update(self, at_us: int, pose: Float32, gated: bool = True) -> bool:
-        """Correct all states by a pose (3,); False if the gate refuses it."""
+        """Correct all states by a measured pose.
+
+        Args:
+            at_us: when it was measured, not before the oldest instant.
+            pose: (3,) x_m, y_m, heading_rad, world frame.
+            gated: whether the gate applies.
+
+        Returns:
+            Whether the pose was used: False if the gate refuses it.
+        """
         first, profile = self._profile(at_us)
         here = slice(2 * first, 2 * first + 4)
         period = self.instants[first]
-        off = pose - _weighted(profile.pose, self.mean[:, here])
-        off[2] = wrapped(off[2])
-        cross = _weighted(profile.pose, self.covariance[:, :, here])
-        expected = _weighted(profile.pose, cross[:, here])
-        shape = (_SHAPE + _SHAPE_OF_NOISE_S2 * self.process_noise) * (profile.doubt * profile.doubt)
+        innovation = pose - weighted(profile.pose, self.mean[:, here])
+        innovation[2] = wrapped(innovation[2])
+        cross = weighted(profile.pose, self.covariance[:, :, here])
+        expected = weighted(profile.pose, cross[:, here])
+        error_share2 = profile.error_share * profile.error_share
+        shape = (_SHAPE + _SHAPE_OF_NOISE_S2 * self.process_noise) * error_share2
         variance = expected + (_FIX + shape * (_F(1) + _SHAPE_COMMON * _F(period.fixes)))
         gate = _GATE * (variance + _GATE_MORE) if gated else np.full(2, _EVERYWHERE)
-        if not (off[0] * off[0] + off[1] * off[1] <= gate[0] and off[2] * off[2] <= gate[1]):
+        square = innovation * innovation
+        if not (square[0] + square[1] <= gate[0] and square[2] <= gate[1]):
             return False
-        self.mean = self.mean + cross[_COVARIANCE_OF] * (off / variance[_COVARIANCE_OF])[:, None]
+        self.mean = self.mean + cross[_COVARIANCE_OF] * (innovation / variance[_COVARIANCE_OF])[:, None]
         gain = cross * (_F(1) / variance)[:, None]
         less = self.covariance - gain[:, :, None] * cross[:, None, :]
         lower = _LOWER[: less.shape[1], : less.shape[1]]
@@ -262,7 +224,7 @@ class Track:
         return True
 
     def reset_pose(self, at_us: int, pose: Float32) -> None:
-        """Replace all poses by this one; keep actions and limb use."""
+        """Restart from a pose (3,) at a time; actions and limb use are kept."""
         first, profile = self._profile(at_us)
         self.instants = self.instants[first:]
         self._unknown(pose)
@@ -270,12 +232,12 @@ class Track:
             self.instants[index].fixes = 0
             self._predict(index)
         self._teaches = False
-        off = pose - _weighted(profile.pose, self.mean[:, :4])
+        off = pose - weighted(profile.pose, self.mean[:, :4])
         self.mean[:, 0::2] = self.mean[:, 0::2] + off[:, None]
         self.update(at_us, pose, gated=False)
 
     def _is_hasty(self, at_us: int) -> bool:
-        """Whether the current period coasts only because the action of a time was not known yet."""
+        """Return whether the current period coasts only because the action of this time came later."""
         return self.instants[-2].coasted and at_us < self.instants[-2].time_us + COAST_US
 
     def _begin(self, at_us: int, action: int, coasted: bool) -> None:
@@ -356,7 +318,7 @@ class Track:
     def _ask_table(
         self, velocity: Float32, limb_use: npt.NDArray[np.int64], action: int, period_s: np.float32
     ) -> tuple[Float32, Float32, npt.NDArray[np.int64]]:
-        """Motion in the body frame, and velocity and limb use a period later."""
+        """Return the motion in the body frame, and the velocity and the limb use a period later."""
         if action >= len(self.tables.actions):
             return velocity * period_s, velocity, limb_use
         codes, motion = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(3, dtype=np.float32)
@@ -364,15 +326,15 @@ class Track:
         return motion, codes[:3].astype(np.float32) * self._arrays.velocity_scale, codes[3:]
 
     def _learn_wear(self, wear: WearFilter) -> None:
-        """Learn from a period of which fixes tell most, and take the worn table from now on."""
+        """Update the wear by the last period, if fixes determine its end; predict with the new wear."""
         known = self.covariance[:, -2, -2]
         if not ((known >= 0) & (known <= (_F(1) - _INFORMED) * self._predicted_variance)).all():
             return
         begin, end = self.instants[-2:]
-        missed, heading_rad = self.mean[:, -2] - self._predicted, wrapped(self.mean[2, -4])
+        error, heading_rad = self.mean[:, -2] - self._predicted, wrapped(self.mean[2, -4])
         period_s = _seconds(end.time_us - begin.time_us)
         before = wear.codes
-        wear.learn(missed, known[_COVARIANCE_OF], heading_rad, begin.action, period_s)
+        wear.learn(error, known[_COVARIANCE_OF], heading_rad, begin.action, period_s)
         if (wear.codes != before).any():
             self._use(wear.tables)
 
@@ -382,8 +344,8 @@ class Track:
 
     def _learn(self) -> None:
         """Adapt the process noise to the error of the last prediction."""
-        off = self.mean[:, -2] - self._predicted
-        square = off * off
+        error = self.mean[:, -2] - self._predicted
+        square = error * error
         reduced = self._predicted_variance - self.covariance[:, -2, -2]
         sums = np.array([square[0] + square[1], square[2]], dtype=np.float32)
         part = _LEARN_PARTS[self._learned]
@@ -401,20 +363,20 @@ class Track:
         _, profile = self._profile(at_us)
         mean, known = self.mean[:, -4:], self.covariance
         self.mean = self.mean.copy()
-        self.mean[:, -2:] = np.stack([_weighted(profile.pose, mean), _weighted(profile.speed, mean)], axis=1)
-        poses = _weighted(profile.pose, known[:, :, -4:])
-        speeds = _weighted(profile.speed, known[:, :, -4:])
+        self.mean[:, -2:] = np.stack([weighted(profile.pose, mean), weighted(profile.speed, mean)], axis=1)
+        poses = weighted(profile.pose, known[:, :, -4:])
+        speeds = weighted(profile.speed, known[:, :, -4:])
         moved = known.copy()
         moved[:, :-2, -2] = moved[:, -2, :-2] = poses[:, :-2]
         moved[:, :-2, -1] = moved[:, -1, :-2] = speeds[:, :-2]
-        moved[:, -2, -2] = _weighted(profile.pose, poses[:, -4:])
-        moved[:, -2, -1] = moved[:, -1, -2] = _weighted(profile.speed, poses[:, -4:])
-        moved[:, -1, -1] = _weighted(profile.speed, speeds[:, -4:])
+        moved[:, -2, -2] = weighted(profile.pose, poses[:, -4:])
+        moved[:, -2, -1] = moved[:, -1, -2] = weighted(profile.speed, poses[:, -4:])
+        moved[:, -1, -1] = weighted(profile.speed, speeds[:, -4:])
         self.covariance = moved
         self.instants[-1].time_us = int(at_us)
 
     def _profile(self, at_us: int) -> tuple[int, Profile]:
-        """Index of the period of a time, or of the last one, and the weights there."""
+        """Return the index of the period of a time, or of the last one, and the weights at that time."""
         last = len(self.instants) - 2
         if at_us >= self.instants[-1].time_us:
             return last, profile_after(_seconds(at_us - self.instants[-1].time_us))

@@ -1,12 +1,12 @@
-"""What each limb has lost of its contribution, learned while the robot swims: the twin of fk_wear.c.
+"""Online estimate of what each limb has lost of its contribution: the twin of fk_wear.c.
 
-What a period missed is held against the wear curves of the limbs that fired in it and against a current.
-The sums of all periods are kept, older ones fading: recursive least squares with exponential forgetting
-(Ljung 1999, System Identification, section 11.2). The limbs and the current are selected forward, as long as
-one more explains more than its penalty: where nothing is worn, nothing is learned, and the planner decides as
-without.
+The prediction error of each period is regressed on the wear curves of the limbs that fired in it, and on a
+current. This is recursive least squares with exponential forgetting (Ljung 1999, System Identification,
+section 11.2): the normal equations of all periods are summed, and the weight of a period fades. Limbs and
+current enter by forward selection, as long as one more explains more than its penalty. If no limb is worn,
+none is selected, and the planner decides as without this estimate.
 
-The two share the order of float32 operations, each rounded once, and the numbers below.
+Twin and C take the same float32 operations in the same order, and round each once.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ from frogkick.tables.layout import LOST_MAX
 Float32 = npt.NDArray[np.float32]
 
 OFF, ON, HELD = 0, 1, 2
-"""Whether a robot learns, as in the link's ``frames.toml``."""
+"""Whether a robot estimates wear, as in the link's ``frames.toml``; HELD keeps the estimate as it is."""
 
 _F = np.float32
 
 NOISE = (0.0012, 0.0012, 0.02)
-"""Standard deviation of what a period misses where all is known: forward, left (m), turn (rad). The default
-table misses less; wear curves, which are means over actions and states, miss more."""
+"""Standard deviation of a period's prediction error if wear and current are known: forward, left (m), turn
+(rad). It is larger than the default table's error, because wear curves are means over actions and states."""
 
 _NOISE = np.array([1.44e-6, 1.44e-6, 4e-4], dtype=np.float32)
 _CURRENT_INFORMATION = np.array([111111.11, 111111.11, 40000.0], dtype=np.float32)  # 3 mm/s, 0.005 rad/s
-_FADING, _SURPRISED = _F(0.96), _F(0.3)
-_PENALTY, _SURPRISE, _MISSED_MOST = _F(9), _F(30), _F(1e6)
+_FADING, _OUTLIER_FADING = _F(0.96), _F(0.3)
+_PENALTY, _OUTLIER, _ERROR_MOST = _F(9), _F(30), _F(1e6)
 _SECANT = 22937
 _LEAST, _MOST, _APART = _F(0.02), _F(1.3), _F(1e-3)
 
 
 class WearFilter:
-    """Learns the lost share of each limb from what each period missed.
+    """Estimates the lost share of each limb from the prediction error of each period.
 
     Attributes:
         codes: (l,) share of its contribution that each limb has lost, 0 to 32767.
-        current: (3,) float32, what a current moves the robot, world frame, m/s and rad/s.
-        held: what was learned is planned with, and nothing more is learned.
+        current: (3,) float32 velocity that a current adds to the robot, world frame, m/s and rad/s.
+        held: the estimate is used, but no longer updated.
     """
 
     def __init__(self, tables: Tables) -> None:
         """Start with nothing lost.
 
         Args:
-            tables: of the robot as it was.
+            tables: tables of the robot with new limbs.
 
         Raises:
-            InputError: they hold no wear curves.
+            InputError: the tables hold no wear curves.
         """
         if not tables.limb_wear.size:
             raise InputError(
@@ -73,7 +73,14 @@ class WearFilter:
         self.held = False
 
     def restore(self, sums: Float32, vector: Float32, current: Float32, codes: Sequence[int]) -> None:
-        """Put back what a robot's snapshot holds: (n (n + 1) / 2,), (n,), (3,) and (l,) for n = l + 3."""
+        """Restore the state of a robot's snapshot, of n = l + 3 unknowns.
+
+        Args:
+            sums: (n (n + 1) / 2,) lower triangle of the information matrix.
+            vector: (n,) right-hand side of the normal equations.
+            current: (3,), see the attribute.
+            codes: (l,), see the attribute.
+        """
         lower = np.zeros_like(self._information)
         lower[np.tril_indices(len(vector))] = sums
         self._information = lower + np.tril(lower, -1).T
@@ -87,30 +94,30 @@ class WearFilter:
 
     @property
     def tables(self) -> Tables:
-        """The table of the robot with these limbs."""
+        """The tables of the robot with limbs as worn as estimated."""
         return self._original.worn(self.codes)
 
     def learn(
         self,
-        missed_world: Float32,
+        error_world: Float32,
         variance: Float32,
         heading_rad: np.float32,
         action: int,
         period_s: np.float32,
     ) -> None:
-        """Learn from a period that has ended.
+        """Update the estimate by a period that has ended.
 
         Args:
-            missed_world: (3,) pose at its end minus the pose that ``tables`` predicted: m, m, rad, world.
-            variance: (3,) of that pose by the fixes.
-            heading_rad: where the robot headed when the period began, within a turn of zero.
-            action: of the period.
-            period_s: its length.
+            error_world: (3,) pose at its end minus the pose that ``tables`` predicted: m, m, rad, world.
+            variance: (3,) variance of that pose, given the fixes.
+            heading_rad: heading at the start of the period, less than a turn from zero.
+            action: action of the period.
+            period_s: length of the period.
         """
         if self.held or action >= len(self._fires):
             return
-        missed, rows = self._rows(missed_world, heading_rad, action, period_s)
-        left = missed.copy()
+        error, rows = self._regression(error_world, heading_rad, action, period_s)
+        left = error.copy()
         values = np.concatenate([self.current, self.codes.astype(np.float32) / _F(LOST_MAX)])
         for unknown, value in enumerate(values):
             left = left - rows[:, unknown] * value
@@ -118,24 +125,24 @@ class WearFilter:
         square = _F(0)
         for part in weight * (left * left):
             square = square + part
-        if not square <= _MISSED_MOST:
+        if not square <= _ERROR_MOST:
             return
-        kept = _FADING * _SURPRISED if square > _SURPRISE else _FADING
+        kept = _FADING * _OUTLIER_FADING if square > _OUTLIER else _FADING
         weighted = weight[:, None] * rows
         products = weighted[:, :, None] * rows[:, None, :]
         lower = np.tril(kept * self._information + ((products[0] + products[1]) + products[2]))
         self._information = lower + np.tril(lower, -1).T
-        told = weighted * missed[:, None]
-        self._vector = kept * self._vector + ((told[0] + told[1]) + told[2])
-        self._believe()
+        parts = weighted * error[:, None]
+        self._vector = kept * self._vector + ((parts[0] + parts[1]) + parts[2])
+        self._select()
 
-    def _rows(
-        self, missed_world: Float32, heading_rad: np.float32, action: int, period_s: np.float32
+    def _regression(
+        self, error_world: Float32, heading_rad: np.float32, action: int, period_s: np.float32
     ) -> tuple[Float32, Float32]:
-        """(3,) what a robot with no worn limb would have missed, body frame, and its (3, n) derivatives."""
+        """Return the (3,) error that new tables would have made, body frame, and its (3, n) derivatives."""
         sine, cosine = (np.float32(value) for value in floats.sincos(heading_rad))
-        x_m, y_m, turn_rad = missed_world
-        missed = np.array([cosine * x_m + sine * y_m, cosine * y_m - sine * x_m, turn_rad], dtype=np.float32)
+        x_m, y_m, turn_rad = error_world
+        error = np.array([cosine * x_m + sine * y_m, cosine * y_m - sine * x_m, turn_rad], dtype=np.float32)
         rows = np.zeros((3, len(self._vector)), dtype=np.float32)
         rows[0, :2] = cosine * period_s, sine * period_s
         rows[1, :2] = -sine * period_s, cosine * period_s
@@ -143,18 +150,18 @@ class WearFilter:
         for limb in self._fires[action]:
             code = int(self.codes[limb])
             to = max(code, _SECANT)
-            missed = missed + self._curve(limb, code)
+            error = error + self._curve(limb, code)
             rows[:, 3 + limb] = self._curve(limb, to) / (_F(to) / _F(LOST_MAX))
-        return missed, rows
+        return error, rows
 
     def _curve(self, limb: int, code: int) -> Float32:
-        """(3,) what a limb that has lost a share changes of a motion."""
+        """Return (3,) the change of a motion by a limb that has lost a share."""
         return np.asarray(
             self._original.wear_at(limb, code)[:3].astype(np.float32) * self._original.motion_scale
         )
 
-    def _believe(self) -> None:
-        """Select the limbs, and the current, that explain most, one after another."""
+    def _select(self) -> None:
+        """Forward selection of limbs and current: in each turn the one that explains most."""
         unknowns = len(self._vector)
         normal = np.concatenate([self._information, self._vector[:, None]], axis=1)
         normal[range(3), range(3)] += _CURRENT_INFORMATION
@@ -179,7 +186,10 @@ class WearFilter:
         self.codes = np.where(shares > 0, shares * _F(LOST_MAX) + _F(0.5), 0).astype(np.int64)
 
     def _gain(self, normal: Float32, first: int, chosen: list[int]) -> np.float32:
-        """What a limb, or the current (0), explains of what the chosen ones leave; -1: not to be believed."""
+        """Return what a limb, or the current (0), explains of the residual of the chosen ones.
+
+        It is -1 if the data cannot separate it from them, or if a share would be implausible.
+        """
         if first == 0:
             values = _solve(normal[:3, :3], normal[:3, -1])
         else:

@@ -12,7 +12,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import progress_bar
 from frogkick.front.html import page_of
-from frogkick.front.running import Run
+from frogkick.front.running import Run, run_of
 from frogkick.identification.horizons import Horizon
 from frogkick.identification.outcome import (
     Outcome,
@@ -25,8 +25,6 @@ from frogkick.identification.retune import steps
 from frogkick.identification.segments import segments_of
 from frogkick.identification.verdict import Interval
 from frogkick.robot import Robot, load_robot, parse_robot
-from frogkick.runs.recorded import load_run as load_log
-from frogkick.runs.runlog import RunLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -204,7 +202,7 @@ def identify(
     runs, test = list(runs), list(test)
     for each in test:
         if any(_is_same(each, one) for one in runs):
-            name = each.log.source if isinstance(each, Run) else Path(each).name
+            name = each.source if isinstance(each, Run) else Path(each).name
             raise InputError(
                 f"run {name!r} is a training run and a test run: its test would show how well it "
                 "was fitted, not how well it is predicted; give each run once"
@@ -230,8 +228,6 @@ def _is_same(one: Given, other: Given) -> bool:
     return Path(one).resolve() == Path(other).resolve()
 
 
-def log_of(given: Given) -> tuple[RunLog, str]:
-    """Return the log of a run, and the run's name in messages."""
-    if isinstance(given, Run):
-        return given.log, given.log.source
-    return load_log(given), Path(given).name
+def log_of(given: Given) -> tuple[Run, str]:
+    """Return a run, and its name in messages."""
+    return run_of(given), given.source if isinstance(given, Run) else Path(given).name

@@ -25,14 +25,13 @@ from frogkick.front.places import (
     table_image,
 )
 from frogkick.front.robots import require_target, session_at
-from frogkick.front.running import Run
+from frogkick.front.running import Run, run_of
 from frogkick.front.tables import Table, load_table
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.robot import Robot, in_a_row
 from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.runs.chip_log_replay import LogReplay
 from frogkick.runs.chip_log_replay import replay_log as replay_records
-from frogkick.runs.recorded import load_run as load_log
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run
 from frogkick.runs.session import Session
@@ -111,7 +110,7 @@ def replay(
         ToolchainError: no compiler for the firmware is found.
     """
     (require_simulated if plan == "host" else require_simulator)(robot)
-    recorded = run.log if isinstance(run, Run) else load_log(run)
+    recorded = run_of(run)
     require_replayable(recorded)
     require_plan(plan)
     if isinstance(table, Table):

@@ -6,7 +6,7 @@ import copy
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -68,18 +68,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run:
-    """One closed-loop run: its recording, and how well the path was followed.
+class Run(RunLog):
+    """One closed-loop run: its log, how well the path was followed, and what can be done with it.
 
     Attributes:
-        log: fixes, decisions, strokes, path, and the true motion of a simulated pool.
+        robot_id, source, fixes, decisions, strokes, path, truth, measured, planner, made: see ``RunLog``.
         tracked: ``tracking`` as measured during the run; None: it is computed from the log.
         checked: number of decisions that agreed, if robot and host both decided.
     """
 
-    log: RunLog
     tracked: Tracking | None = None
-    checked: dict[str, Any] = field(default_factory=dict)
+    checked: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def log(self) -> RunLog:
+        """The run itself: fixes, decisions, strokes, path, and the true motion of a simulated pool."""
+        return self
 
     @cached_property
     def tracking(self) -> Tracking:
@@ -88,22 +92,17 @@ class Run:
         Raises:
             InputError: the run has no decision, or nobody saw the robot.
         """
-        return self.tracked or tracking_of_log(self.log)
+        return self.tracked or tracking_of_log(self)
 
     @property
     def ended(self) -> str:
         """The reason why it ended, in words."""
-        return self.log.notes
-
-    @property
-    def path(self) -> SwimPath | None:
-        """The desired path in the world frame; None if the log has none."""
-        return self.log.path
+        return self.notes
 
     @cached_property
     def actions(self) -> tuple[str, ...]:
         """The action of each decision, by name; "?" if it is not known."""
-        return tuple(self.log.decided())
+        return tuple(self.decided())
 
     def save(self, file: Path | str) -> None:
         """Write the log (HDF5), which ``load_run`` reads back.
@@ -111,7 +110,7 @@ class Run:
         Raises:
             InputError: the file cannot be written.
         """
-        write_run(file, self.log)
+        write_run(file, self)
 
     def summary(self) -> Summary:
         """Return the run in numbers, for logs of any source; unknown values are None.
@@ -119,7 +118,7 @@ class Run:
         Raises:
             InputError: the run has no decision or no fix.
         """
-        return summary(self.log)
+        return summary(self)
 
     def compare(self, other: Run | Path | str) -> Comparison:
         """Compare this run with another, or its file, each from its first decision on.
@@ -127,7 +126,7 @@ class Run:
         Raises:
             InputError: one of the runs has no decision or no fix.
         """
-        return compare_runs(self.log, (other if isinstance(other, Run) else load_run(other)).log)
+        return compare_runs(self, run_of(other))
 
     def export_csv(self, folder: Path | str) -> list[Path]:
         """Write a CSV for each group of columns, units in their names, and ``run.json``; return the files.
@@ -135,7 +134,7 @@ class Run:
         Raises:
             InputError: the folder cannot be written to.
         """
-        return [Path(folder) / name for name in export_csv(self.log, Path(folder))]
+        return [Path(folder) / name for name in export_csv(self, Path(folder))]
 
     def export_mcap(self, file: Path | str) -> dict[str, int]:
         """Write an MCAP file for Foxglove, ``run.mcap``, and its layout, ``run.layout.json``.
@@ -146,7 +145,7 @@ class Run:
         Raises:
             InputError: the file cannot be written, or the package mcap is not installed.
         """
-        return export_mcap(self.log, Path(file))
+        return export_mcap(self, Path(file))
 
     def to_pandas(self) -> dict[str, DataFrame]:
         """Return a pandas table for each group of columns of ``export_csv``: fixes, decisions, ...
@@ -159,13 +158,13 @@ class Run:
         require("Tables of pandas", *EXTRAS["pandas"])
         from pandas import DataFrame
 
-        return {name: DataFrame(columns) for name, columns in columns_of(self.log)}
+        return {name: DataFrame(columns) for name, columns in columns_of(self)}
 
     def plot(self) -> Figure:
         """Return a matplotlib figure (``savefig`` writes it): track, distance, actions, prediction errors."""
         from frogkick.report.run_figure import run_figure
 
-        return run_figure(self.log, f"{self.log.robot_id}: {self.log.source}")
+        return run_figure(self, f"{self.robot_id}: {self.source}")
 
     def play(self, speed: float = 1.0) -> None:
         """Play the run in the browser until its end, the page's button or Ctrl-C; it starts with the page.
@@ -173,11 +172,11 @@ class Run:
         Raises:
             InputError: the speed is not above 0, or the log holds neither a fix nor a decision.
         """
-        played(self.log, speed)
+        played(self, speed)
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""
-        learned = {"lost": lost_of(self.log), "wall_clearance_m": clearance_m(self.log)}
+        learned = {"lost": lost_of(self), "wall_clearance_m": clearance_m(self)}
         return {**self.tracking.as_json(), **self.checked, **learned, "ended": self.ended}
 
     def __repr__(self) -> str:
@@ -187,13 +186,12 @@ class Run:
         except InputError:  # a log may be of a robot without fixes
             followed = "not seen swimming"
         return (
-            f"Run({self.log.robot_id!r} along {name}: {len(self.log.decisions)} decisions, {followed}, "
-            f"{self.ended})"
+            f"Run({self.robot_id!r} along {name}: {len(self.decisions)} decisions, {followed}, {self.ended})"
         )
 
     def _repr_html_(self) -> str:
         try:
-            return page_of(repr(self), self.as_json(), self.plot() if len(self.log.decisions) > 1 else None)
+            return page_of(repr(self), self.as_json(), self.plot() if len(self.decisions) > 1 else None)
         except InputError:
             return page_of(repr(self), {"ended": self.ended})
 
@@ -223,7 +221,12 @@ def load_run(file: Path | str) -> Run:
     Raises:
         InputError: the file is missing, incomplete, or not a run.
     """
-    return Run(load_log(file))
+    return Run(**vars(load_log(file)))
+
+
+def run_of(given: Run | Path | str) -> Run:
+    """A run in memory as it is, or read from its file; see ``load_run``."""
+    return given if isinstance(given, Run) else load_run(given)
 
 
 def run(
@@ -362,11 +365,9 @@ def run(
                 tell, session = _in_turn(said.keep, draw, keep), Session(port)
                 recording = run_session(session, pool, used.tables, desired, options, said.progress, tell)
     log_seed = None if is_real else seed
-    found = Run(
-        run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known, made),
-        tracking_of_recording(recording, pool, described, desired),
-        {} if check is None else check.as_json(),
-    )
+    kept_log = run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known, made)
+    tracked = tracking_of_recording(recording, pool, described, desired)
+    found = Run(**vars(kept_log), tracked=tracked, checked={} if check is None else check.as_json())
     if target is not None:
         found.save(target)
         part_of(target).unlink(missing_ok=True)

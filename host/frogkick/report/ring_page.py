@@ -117,7 +117,7 @@ def _got_worse(closing: Closing) -> list[str]:
 
 
 def _distances(closing: Closing) -> Figure:
-    names = [run.log.path.name if run.log.path else "" for run in closing.old]
+    names = [_name(run) for run in closing.old]
     with new_figure(6.6, 2.8) as figure:
         axes = figure.subplots()
         for shift, runs, colour, label in (
@@ -138,7 +138,7 @@ def _distances(closing: Closing) -> Figure:
     return figure
 
 
-def _name(run: RingRun | Trial) -> str:
+def _name(run: Trial) -> str:
     return run.log.path.name if run.log.path else "path"
 
 
@@ -190,7 +190,7 @@ def _why(ring: Ring) -> list[str]:
 def _paths(ring: Ring) -> Section:
     rows = [
         (
-            run.log.path.name if run.log.path else "",
+            _name(run),
             f"{1e3 * run.tracking.mean_distance_m:.1f}",
             f"{1e3 * run.tracking.p95_distance_m:.1f}",
             f"{1e3 * run.tracking.progress_mps:.1f}",

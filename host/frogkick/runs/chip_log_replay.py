@@ -204,7 +204,7 @@ class _Segment:
                 if record.name == "COMMAND":  # one takes it, the other refuses: what follows differs
                     self.made = []
                     return index
-            for what in twin.apply(record):
+            for what in twin.replay(record):
                 self._report(record, "twin", what)
             self.found.replayed += 1
         self.found.decisions += twin.decisions

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from frogkick.core.errors import FrogkickError
 from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.estimator import MARKS, Estimator, _Fix
-from frogkick.estimator.follow import Follow
 from frogkick.estimator.track import INSTANTS, Track, _Instant
 from frogkick.estimator.wear import HELD, OFF
 from frogkick.planner.plan import PlanConfig
@@ -54,7 +53,7 @@ class ChipState:
         next_decision_us: time of the next decision.
         config: cost, weights, depth.
         points, total: path points received so far, and their number in the complete path.
-        follow: progress along the path, for ``follow_of``.
+        along_points, mark, idle: progress along the path, as in ``Follow``.
         estimator: the twin in the robot's state.
     """
 
@@ -66,18 +65,10 @@ class ChipState:
     config: PlanConfig
     points: Points
     total: int
-    follow: tuple[Any, ...]
+    along_points: np.float32
+    mark: tuple[np.float32, tuple[np.float32, np.float32], np.float32] | None
+    idle: int
     estimator: Estimator
-
-
-def follow_of(state: ChipState, tables: Tables) -> Follow:
-    """The twin's progress along the path, in the robot's state; the path must be complete."""
-    follow = Follow(tables, state.points, state.config)
-    along, mark, place, distance_m, idle, begun = state.follow
-    follow.along_points = along
-    follow._mark = (mark, place, distance_m) if begun else None
-    follow._idle = idle
-    return follow
 
 
 class _Reader:
@@ -136,12 +127,21 @@ def read_state(content: bytes, tables: Tables) -> ChipState:
     config = PlanConfig(**weights, transitions_max=transitions_max, cost=cost, depth=depth)
     total, count = reader.take("BB")
     points = Points(reader.floats(count), reader.floats(count), reader.floats(count))
-    along, mark, x_m, y_m, distance_m = reader.floats(5)
+    along_points, mark_points, x_m, y_m, distance_m = reader.floats(5)
     idle, begun = reader.take("IB")
-    estimator = _read_estimator(reader, tables)
-    follow = (along, mark, (x_m, y_m), distance_m, idle, begun)
     return ChipState(
-        time_us, state, period_us, decisions, next_decision_us, config, points, total, follow, estimator
+        time_us=time_us,
+        state=state,
+        period_us=period_us,
+        decisions=decisions,
+        next_decision_us=next_decision_us,
+        config=config,
+        points=points,
+        total=total,
+        along_points=along_points,
+        mark=(mark_points, (x_m, y_m), distance_m) if begun else None,
+        idle=idle,
+        estimator=_read_estimator(reader, tables),
     )
 
 

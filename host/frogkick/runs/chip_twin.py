@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from frogkick.estimator.follow import End, Follow
-from frogkick.estimator.track import resting_action_of
+from frogkick.estimator.follow import End
 from frogkick.link.layout import link_layout
 from frogkick.link.log import Record
 from frogkick.link.supervisor import supervisor
 from frogkick.planner.plan import transitions_within
-from frogkick.runs.chip_state import Points, follow_of, read_state
-from frogkick.runs.decision import Decision, decide, decision_of_event
+from frogkick.runs.chip_state import Points, read_state
+from frogkick.runs.decision import RESTING, Decision, DecisionTwin, decision_of_event
 from frogkick.tables.image import Tables
 
 _LAYOUT = link_layout()
@@ -24,8 +23,8 @@ PLAN_TIME_WATCHDOG_US = 600_000
 """Limit of the search time in the firmware (fk_robot.h)."""
 
 
-class ChipTwin:
-    """Estimator, planner and progress along the path, started from a robot's snapshot.
+class ChipTwin(DecisionTwin):
+    """The twin in the state of a robot's snapshot, which replays the records after it.
 
     Attributes:
         decisions: so far.
@@ -38,31 +37,26 @@ class ChipTwin:
             SnapshotError: not a snapshot of this robot.
         """
         state = read_state(snapshot, tables)
+        super().__init__(tables, state.points, state.config, state.estimator)
+        self._follow.along_points, self._follow._mark = state.along_points, state.mark
+        self._follow._idle = state.idle
         self.decisions: list[Decision] = []
-        self._tables = tables
-        self._resting_action = resting_action_of(tables)
-        self._estimator = state.estimator
-        self._config = state.config
-        self._points = state.points
-        self._total = state.total
+        self._has_path = len(state.points) == state.total > 1
         self._period_us = state.period_us
         self._running = state.state == _LAYOUT.state["RUNNING"]
         self._next_us = state.next_decision_us
         self._number = state.decisions
-        has_path = len(self._points) == self._total > 1
-        self._follow = follow_of(state, tables) if has_path else None
         self._decided: tuple[int, int] | None = None
-        self._end: End | None = None
         self._supply_low = False
 
-    def apply(self, record: Record) -> list[str]:
-        """Apply a record; return what the twin finds different, one text each."""
+    def replay(self, record: Record) -> list[str]:
+        """Replay a record; return what the twin finds different, one text each."""
         if record.name == "COMMAND":
             return self._command(record)
         if record.name == "DECISION":
             return self._decide(record)
         if record.name in ("REFUSED", "DROPPED"):
-            self._estimator.act(int(record.values["begin_us"]), self._resting_action)
+            self.act(int(record.values["begin_us"]), RESTING)
         elif record.name == "STROKE":
             return self._stroke(record)
         elif record.name == "ENDED":
@@ -79,14 +73,14 @@ class ChipTwin:
         if status != _STATUS["OK"]:
             return []
         if record.command == "PATH":
-            self._path(record)
+            self._add_points(record)
         elif record.command == "PARAM":
             self._set(int(asked["parameter"]), float(asked["value"]))
         elif record.command == "START":
-            self._follow = Follow(self._tables, self._points, self._config)
+            self._has_path = True
+            self.restart()
             self._next_us = record.time_us + int(asked["delay_us"])
             self._number = 0
-            self._end = None
         elif record.command == "STROKE":
             self._decided = None
         return []
@@ -97,31 +91,28 @@ class ChipTwin:
             return []
         capture_us = record.time_us - int(asked["capture_age_us"])
         pose = np.array([asked["x_m"], asked["y_m"], asked["heading_rad"]], dtype=np.float32)
-        ours = self._estimator.add(capture_us, pose, int(asked["fix_sequence"]))
-        if ours == 0 and self._running and self._follow is not None:
-            self._end = self._follow.fixed(pose[0], pose[1])
+        ours = self.add_fix(capture_us, pose, int(asked["fix_sequence"]))
         if ours == status:
             return []
         return [f"FIX is {_LAYOUT.status_name(ours)}, not {_LAYOUT.status_name(status)}"]
 
-    def _path(self, record: Record) -> None:
+    def _add_points(self, record: Record) -> None:
         payload = _LAYOUT.messages["PATH"].command
         assert payload is not None
         first = int(record.asked["first"])
         rows = np.array(list(struct.iter_unpack(payload.repeat_format, record.rest[payload.bytes :])))
         x_m, y_m, tangent_rad = rows.astype(np.float32).T
-        before = self._points
-        self._points = Points(
+        before = self._path
+        self._path = Points(
             np.concatenate([before.x_m[:first], x_m]),
             np.concatenate([before.y_m[:first], y_m]),
             np.concatenate([before.tangent_rad[:first], tangent_rad]),
         )
-        self._total = int(record.asked["total"])
 
     def _set(self, parameter: int, value: float) -> None:
         name = next(name for name, number in _LAYOUT.parameter.items() if number == parameter)
         if name == "LEARN":
-            self._estimator.track.learn(int(value))
+            self._track.learn(int(value))
         elif name == "PERIOD_US":
             self._period_us = int(value)
         elif name in ("PLAN_TIME_US", "TRANSITIONS_MAX"):
@@ -133,23 +124,16 @@ class ChipTwin:
             self._config = replace(self._config, **changes)  # type: ignore[arg-type]
 
     def _decide(self, record: Record) -> list[str]:
-        if self._follow is None:
+        if not self._has_path:
             return ["a decision without a path"]
-        over = self._end is not None
-        ours, self._end = decide(
-            self._estimator.track.tables,
-            self._points,
-            self._config,
-            self._estimator,
-            self._follow,
-            self._next_us,
-        )
+        over = self.ended is not None
+        ours = self.decide(self._next_us)
         differing = ours.differences(decision_of_event(record.values))
         if over:
             differing.append("the end of the run before")
         if int(record.values["decision"]) != self._number:
             differing.append("decision")
-        if self._end is None:
+        if self.ended is None:
             self._decided = (ours.action, self._next_us)
             self._next_us += self._period_us
         self._number += 1
@@ -159,13 +143,13 @@ class ChipTwin:
     def _stroke(self, record: Record) -> list[str]:
         action, begin_us = int(record.values["action"]), int(record.values["begin_us"])
         decided, self._decided = self._decided, None
-        self._estimator.act(begin_us, action)
+        self.act(begin_us, action)
         if self._running and decided != (action, begin_us):
             return [f"STROKE {(action, begin_us)} was not decided: {decided} was"]
         return []
 
     def _ended(self, record: Record) -> list[str]:
         status = _LAYOUT.status_name(int(record.values["status"]))
-        wanted = "STALE" if self._end is None else _ENDS[self._end]
+        wanted = "STALE" if self.ended is None else _ENDS[self.ended]
         wanted = "SUPPLY" if self._supply_low else wanted
         return [] if status == wanted else [f"the run ends with {status}, not {wanted}"]

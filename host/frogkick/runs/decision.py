@@ -200,7 +200,7 @@ class DecisionTwin:
     def __init__(
         self,
         tables: Tables,
-        path: Path,
+        path: PathLike,
         config: PlanConfig,
         estimator: Estimates | None = None,
         learn: bool = False,
@@ -214,14 +214,14 @@ class DecisionTwin:
         self._tables = tables
         self._path = path
         self._config = config
-        own = Estimator(tables)
+        own = estimator if isinstance(estimator, Estimator) else Estimator(tables)
         if learn:
             own.track.learn(ON)
         self._track = own.track
-        self._estimator: Estimates = own if estimator is None else estimator
-        self._follow = Follow(tables, path, config)
-        self.ended: End | None = None
+        self._estimator: Estimates = estimator or own
         self._resting_action = resting_action_of(tables)
+        self.ended: End | None = None
+        self.restart()
 
     @property
     def wear(self) -> WearFilter | None:
@@ -241,7 +241,7 @@ class DecisionTwin:
 
     def restart(self) -> None:
         """Start a new run at the path's begin."""
-        self._follow.begin()
+        self._follow = Follow(self._tables, self._path, self._config)
         self.ended = None
 
     def apply(self, event: RobotEvent) -> Decision | None:

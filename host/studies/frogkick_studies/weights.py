@@ -163,7 +163,7 @@ def tune(
     """
     best, found, step = judge(config), config, 0.3
     for trial in range(trials):
-        varied = {
+        varied: dict[str, Any] = {
             name: float(min(WEIGHTS[name].most, getattr(found, name) * math.exp(step * rng.normal())))
             for name in TUNED
             if rng.random() < 0.5
@@ -245,6 +245,6 @@ def run(config: Weights) -> WeightsTuned:
             lambda weights: score(list(runs(training, weights).values()), before),
             start, config.trials, rng, tell,
         )  # fmt: skip
-    weights = {name: float(f"{getattr(found, name):.3g}") for name in TUNED}
+    weights: dict[str, Any] = {name: float(f"{getattr(found, name):.3g}") for name in TUNED}
     found = dataclasses.replace(found, **weights)
     return WeightsTuned(weights, runs(others, planner), runs(others, found))

@@ -41,6 +41,17 @@ class Points:
     def __len__(self) -> int:
         return len(self.x_m)
 
+    def with_part(self, first: int, part: Points) -> Points:
+        """The points before an index, and a part from there on."""
+        columns = [
+            np.concatenate([getattr(self, name)[:first], getattr(part, name)])
+            for name in ("x_m", "y_m", "tangent_rad")
+        ]
+        return Points(*columns)
+
+
+NO_POINTS = Points(*(np.zeros(0, dtype=np.float32) for _ in range(3)))
+
 
 @dataclass(frozen=True, eq=False)
 class ChipState:
@@ -54,6 +65,7 @@ class ChipState:
         next_decision_us: time of the next decision.
         config: cost, weights, depth.
         points, total: path points received so far, and their number in the complete path.
+        coming, coming_total: the same of a path that comes during a run.
         follow: progress along the path, for ``follow_of``.
         estimator: the twin in the robot's state.
     """
@@ -66,6 +78,8 @@ class ChipState:
     config: PlanConfig
     points: Points
     total: int
+    coming: Points
+    coming_total: int
     follow: tuple[Any, ...]
     estimator: Estimator
 
@@ -77,6 +91,8 @@ def follow_of(state: ChipState, tables: Tables) -> Follow:
     follow.along_points = along
     follow._mark = (mark, place, distance_m) if begun else None
     follow._idle = idle
+    if len(state.coming) == state.coming_total > 0:
+        follow.coming = state.coming
     return follow
 
 
@@ -134,15 +150,31 @@ def read_state(content: bytes, tables: Tables) -> ChipState:
     weights = dict(zip(WEIGHTS, map(float, reader.floats(len(WEIGHTS))), strict=True))
     transitions_max, cost, depth = reader.take("IBB")
     config = PlanConfig(**weights, transitions_max=transitions_max, cost=cost, depth=depth)
-    total, count = reader.take("BB")
-    points = Points(reader.floats(count), reader.floats(count), reader.floats(count))
+    points, total = _read_points(reader)
+    coming, coming_total = _read_points(reader)
     along, mark, x_m, y_m, distance_m = reader.floats(5)
     idle, begun = reader.take("IB")
     estimator = _read_estimator(reader, tables)
     follow = (along, mark, (x_m, y_m), distance_m, idle, begun)
     return ChipState(
-        time_us, state, period_us, decisions, next_decision_us, config, points, total, follow, estimator
+        time_us,
+        state,
+        period_us,
+        decisions,
+        next_decision_us,
+        config,
+        points,
+        total,
+        coming,
+        coming_total,
+        follow,
+        estimator,
     )
+
+
+def _read_points(reader: _Reader) -> tuple[Points, int]:
+    total, count = reader.take("BB")
+    return Points(reader.floats(count), reader.floats(count), reader.floats(count)), total
 
 
 def _read_estimator(reader: _Reader, tables: Tables) -> Estimator:

@@ -25,7 +25,12 @@ void fk_robot_no_more_pulses(fk_robot_t *robot)
 void fk_robot_use_coming(fk_robot_t *robot)
 {
     if (robot->coming.count != 0u) {
-        robot->path = robot->coming;
+        for (uint32_t i = 0u; i < robot->coming.count; ++i) { /* by words: the chip copies a structure by bytes */
+            robot->path.x_m[i] = robot->coming.x_m[i];
+            robot->path.y_m[i] = robot->coming.y_m[i];
+            robot->path.tangent_rad[i] = robot->coming.tangent_rad[i];
+        }
+        robot->path.count = robot->coming.count;
         robot->path_points = robot->coming_points;
         robot->path_total = robot->coming_total;
     }

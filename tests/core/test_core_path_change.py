@@ -25,7 +25,7 @@ from tests.core.test_core_log_replay import live, replayed, restored, snapshot_o
 
 from frogkick.estimator.follow import Follow
 from frogkick.link.frames import Frame
-from frogkick.link.layout import Value
+from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
 from frogkick.planner.plan import config_of
 from frogkick.robot import load_robot
@@ -56,7 +56,9 @@ def send(robot: Robot, rows: Rows, parts: int | None = None) -> list[str]:
 def swims(robot: Robot, decisions: int, x_m: float = 0.1, y_m: float = 0.0) -> list[Frame]:
     """The next decisions of a robot that is held at a place."""
     seen: list[Frame] = []
-    while len(seen) < decisions:
+    for _ in range(20 * decisions):
+        if len(seen) >= decisions:
+            break
         robot.run_until(robot.now_us + 200_000)
         seen += [frame for frame in robot.take() if frame.name in ("DECISION", "ENDED")]
         if seen and seen[-1].name == "ENDED":
@@ -250,7 +252,8 @@ def places(name: str, many: int) -> list[tuple[float, float]]:
     random_places = rows[rng.integers(0, len(rows), many)] + rng.normal(0.0, 1.0, (many, 2)) * rng.choice(
         [0.0, 0.01, 0.1, 2.0], (many, 1)
     )
-    return [(float(np.float32(x)), float(np.float32(y))) for x, y in random_places]
+    some_places = [(0.0, 0.0), (0.0, -0.003), (0.001, 0.003), *random_places]
+    return [(float(np.float32(x)), float(np.float32(y))) for x, y in some_places]
 
 
 @pytest.mark.parametrize("name", CURVES)
@@ -302,7 +305,8 @@ MUTATIONS = {
         "fk_follow.c", "            if (best2_m2 < FAR2_M2) {\n                break;\n            }\n", "",
     ),
     "the nearest place alone": (
-        "fk_follow.c", "least2_m2 + tables->stroke_max_m * tables->stroke_max_m;", "least2_m2;",
+        "fk_follow.c", "least2_m2 + tables->stroke_max_m * tables->stroke_max_m;",
+        "least2_m2 + 0.0f * tables->stroke_max_m;",
     ),
 }  # fmt: skip
 
@@ -388,8 +392,30 @@ def test_the_host_makes_the_same_decisions_on_new_paths() -> None:
     assert decided > 5
 
 
+def in_turn(made: Any = None) -> list[object]:
+    """What a robot answers and does whose runs end with half a path, and with a whole one, on the way."""
+    robot = Robot(made=made).begin("RUNNING")
+    told: list[object] = [distances(swims(robot, 1))]
+    for parts in (1, None):
+        told += send(robot, line(0.05), parts)
+        told += [robot.status("STOP"), robot.start()]
+        part = line(0.05)[18:36]
+        told.append(robot.ask("PATH", {"first": 18, "total": 40, "count": 18}, part))
+        told += [(frame.values["distance_m"], frame.values["along_points"]) for frame in swims(robot, 2)]
+    return told
+
+
+def test_runs_that_end_with_a_path_on_the_way() -> None:
+    told = in_turn()
+    refused = {"status": link_layout().status["VALUE"], "received": 0}
+    assert told[1:5] == ["OK", "OK", "OK", refused]
+    assert [one for one in told if isinstance(one, dict)] == [refused, refused]
+
+
 def finds(made: Any) -> bool:
     """Whether one of the tests above finds a core different."""
+    if in_turn(made) != in_turn():
+        return True
     if at_the_end_of_the_path(True, made).state() != "RUNNING":
         return True
     if any(same_as_the_twin(seed, made) for seed in range(6)):

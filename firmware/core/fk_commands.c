@@ -92,55 +92,6 @@ static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us
     return (int32_t)FK_FIX_ANSWER_BYTES;
 }
 
-static int8_t take_path(fk_robot_t *robot, const uint8_t *payload, uint32_t length)
-{
-    fk_path_command_t command;
-    fk_path_command_unpack(payload, &command);
-    int8_t refusal = fk_robot_may(robot, FK_EVENT_PATH);
-    if (refusal != FK_STATUS_OK) {
-        return refusal;
-    }
-    if (command.count < 1u || command.count > FK_PATH_ROWS_MAX ||
-        length != FK_PATH_COMMAND_BYTES + command.count * FK_PATH_ROW_BYTES) {
-        return FK_STATUS_LENGTH;
-    }
-    /* A first part starts over; a later one must continue where the last one ended. */
-    uint32_t last = (uint32_t)command.first + command.count;
-    if (command.total < 2u || command.total > FK_PATH_POINTS_MAX || last > command.total ||
-        (command.first != 0u && (command.first != robot->path_points || command.total != robot->path_total))) {
-        return FK_STATUS_VALUE;
-    }
-    for (uint32_t i = 0u; i < command.count; ++i) {
-        fk_path_row_t row;
-        fk_path_row_unpack(payload + FK_PATH_COMMAND_BYTES + i * FK_PATH_ROW_BYTES, &row);
-        if (!is_finite_within(row.x_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
-            !is_finite_within(row.y_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
-            !is_finite_within(row.tangent_rad, -4.0f, 4.0f)) {
-            /* Rows before this one have taken the old path's place: now there is none. */
-            robot->path_points = 0u;
-            robot->path_total = 0u;
-            robot->path.count = 0u;
-            return FK_STATUS_VALUE;
-        }
-        robot->path.x_m[command.first + i] = row.x_m;
-        robot->path.y_m[command.first + i] = row.y_m;
-        robot->path.tangent_rad[command.first + i] = row.tangent_rad;
-    }
-    robot->path_total = command.total;
-    robot->path_points = (uint8_t)last;
-    robot->path.count = (robot->path_points == robot->path_total) ? robot->path_total : 0u;
-    return FK_STATUS_OK;
-}
-
-static int32_t on_path(fk_robot_t *robot, const uint8_t *payload, uint32_t length, uint8_t *answer)
-{
-    fk_path_answer_t told;
-    told.status = take_path(robot, payload, length);
-    told.received = robot->path_points;
-    fk_path_answer_pack(answer, &told);
-    return (int32_t)FK_PATH_ANSWER_BYTES;
-}
-
 static int32_t on_start(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us, uint8_t *answer)
 {
     fk_start_command_t command;
@@ -406,7 +357,7 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
     case FK_FRAME_FIX:
         return on_fix(robot, frame->payload, now_us, answer);
     case FK_FRAME_PATH:
-        return on_path(robot, frame->payload, frame->payload_length, answer);
+        return fk_robot_path_command(robot, frame->payload, frame->payload_length, answer);
     case FK_FRAME_START:
         return on_start(robot, frame->payload, now_us, answer);
     case FK_FRAME_STATUS:

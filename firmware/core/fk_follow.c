@@ -2,6 +2,7 @@
 
 #include "fk_frames_layout.h"
 
+#define FAR2_M2 1.0e9f       /* positions are within 1000 m of the origin, so squares of distances stay below 1e7 */
 #define FK_FOLLOW_GAIN 0.25f /* part of the longest stroke that counts as progress or approach */
 
 void fk_follow_begin(fk_follow_t *follow)
@@ -13,6 +14,49 @@ void fk_follow_begin(fk_follow_t *follow)
     follow->mark_distance_m = 0.0f;
     follow->idle = 0u;
     follow->begun = 0u;
+}
+
+/* The place of a segment that is nearest to a position: how far along it, 0 to 1, and its distance squared. */
+static float nearest_part(const fk_path_t *path, uint32_t segment, float x_m, float y_m, float *distance2_m2)
+{
+    const float dx_m = path->x_m[segment + 1u] - path->x_m[segment];
+    const float dy_m = path->y_m[segment + 1u] - path->y_m[segment];
+    const float length2_m2 = dx_m * dx_m + dy_m * dy_m;
+    const float along_m2 = (x_m - path->x_m[segment]) * dx_m + (y_m - path->y_m[segment]) * dy_m;
+    float part = 0.0f;
+    if (along_m2 >= length2_m2) { /* so nothing is divided by 0 */
+        part = 1.0f;
+    } else if (along_m2 > 0.0f) {
+        part = along_m2 / length2_m2;
+    }
+    const float across_x_m = (x_m - path->x_m[segment]) - part * dx_m;
+    const float across_y_m = (y_m - path->y_m[segment]) - part * dy_m;
+    *distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
+    return part;
+}
+
+void fk_follow_change(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path, float x_m, float y_m)
+{
+    float distance2_m2;
+    float least2_m2 = FAR2_M2;
+    fk_follow_begin(follow);
+    for (uint32_t segment = 0u; segment + 1u < path->count; ++segment) {
+        (void)nearest_part(path, segment, x_m, y_m, &distance2_m2);
+        least2_m2 = (distance2_m2 < least2_m2) ? distance2_m2 : least2_m2;
+    }
+    const float near2_m2 = least2_m2 + tables->stroke_max_m * tables->stroke_max_m;
+    float best2_m2 = FAR2_M2; /* of the first stretch that is as near as that */
+    for (uint32_t segment = 0u; segment + 1u < path->count; ++segment) {
+        const float part = nearest_part(path, segment, x_m, y_m, &distance2_m2);
+        if (distance2_m2 > near2_m2) {
+            if (best2_m2 < FAR2_M2) {
+                break;
+            }
+        } else if (distance2_m2 < best2_m2) {
+            best2_m2 = distance2_m2;
+            follow->along_points = (float)segment + part;
+        }
+    }
 }
 
 static int32_t end_status(const fk_tables_t *tables, float distance_m)

@@ -23,6 +23,13 @@ typedef struct {
 
 void fk_follow_begin(fk_follow_t *follow);
 
+/* Another path is followed from here on. The robot goes on where it is nearest to it; where several of its stretches are as
+ * near, at the first of these: a path that closes or crosses itself is not cut short. As near: the squares of the distances
+ * differ by that of a longest stroke at most.
+ * @param x_m, y_m  the robot's place, world
+ */
+void fk_follow_change(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path, float x_m, float y_m);
+
 /* After a decision with a plan.
  * @retval FK_FOLLOW_ON       goes on
  * @retval FK_STATUS_OK       the path's end is reached

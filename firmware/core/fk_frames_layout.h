@@ -1,12 +1,12 @@
 /* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
- * Protocol version 5. Payloads of the link: commands are unpacked, answers and events packed.
+ * Protocol version 6. Payloads of the link: commands are unpacked, answers and events packed.
  */
 #ifndef FK_FRAMES_LAYOUT_H
 #define FK_FRAMES_LAYOUT_H
 
 #include <stdint.h>
 
-#define FK_PROTOCOL_VERSION 5u
+#define FK_PROTOCOL_VERSION 6u
 #define FK_PAYLOAD_BYTES_MAX 231u
 #define FK_ANSWER_BIT 0x80u
 #define FK_EVENT_BIT 0x40u
@@ -337,7 +337,7 @@ static inline void fk_fix_answer_pack(uint8_t *to, const fk_fix_answer_t *from)
 
 #define FK_PATH_COMMAND_BYTES 3u
 
-/* A part of the path; the whole has arrived when first + count = total. */
+/* A part of the path; the whole has arrived when first + count = total. During a run it is collected beside the followed path, and takes over whole, without a stop, at the next decision that has an estimate of the place: the robot goes on where it is nearest to it, at the first of several such places. Until then, and with a part that is missing or refused, the old path is followed; a first part begins anew. A run that ends before leaves the newest whole path for the next START. */
 typedef struct {
     uint8_t first; /* index of the first point here */
     uint8_t total; /* points of the whole path, 2 to 100 */

@@ -45,6 +45,9 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->replays = 0u;
     robot->fired_mask = 0u;
     robot->fired_first = 0u;
+    robot->coming.count = 0u;
+    robot->coming_points = 0u;
+    robot->coming_total = 0u;
     robot->path_points = 0u;
     robot->path_total = 0u;
     robot->next_decision_us = UINT64_MAX;
@@ -115,11 +118,11 @@ uint32_t fk_robot_transitions_within(uint32_t plan_us)
     return (transitions > 0u) ? transitions : 1u;
 }
 
-/* A fix was taken: a run may end by it. */
+/* A fix was taken: a run may end by it, but not at the end of a path that the next decision leaves. */
 void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m)
 {
     fk_guard_note_fix(&robot->guard, capture_us);
-    if (robot->state == FK_STATE_RUNNING) {
+    if (robot->state == FK_STATE_RUNNING && robot->coming.count == 0u) {
         int32_t status = fk_follow_fixed(&robot->follow, &robot->tables, &robot->path, &robot->plan, x_m, y_m);
         if (status != FK_FOLLOW_ON) {
             fk_robot_end_run(robot, (int8_t)status, FK_EVENT_RUN_OVER);
@@ -149,6 +152,11 @@ static void decide(fk_robot_t *robot)
 
     int32_t status = fk_estimator_at(&robot->estimator, robot->next_decision_us, &estimate);
     if (status == FK_STATUS_OK) {
+        if (robot->coming.count != 0u) {
+            fk_robot_use_coming(robot);
+            fk_follow_change(&robot->follow, &robot->tables, &robot->path, estimate.state.x_m, estimate.state.y_m);
+            plan.along_points = robot->follow.along_points;
+        }
         estimate.state.along_points = robot->follow.along_points;
         status = fk_plan(&robot->tables, &robot->path, &robot->plan, &estimate.state, &plan);
     }

@@ -21,6 +21,24 @@ void fk_robot_no_more_pulses(fk_robot_t *robot)
     robot->stroke_request = 0u;
 }
 
+/* A new path that has come whole takes the place of the followed one; of half a path nothing is kept. */
+void fk_robot_use_coming(fk_robot_t *robot)
+{
+    if (robot->coming.count != 0u) {
+        for (uint32_t i = 0u; i < robot->coming.count; ++i) { /* by words: the chip copies a structure by bytes */
+            robot->path.x_m[i] = robot->coming.x_m[i];
+            robot->path.y_m[i] = robot->coming.y_m[i];
+            robot->path.tangent_rad[i] = robot->coming.tangent_rad[i];
+        }
+        robot->path.count = robot->coming.count;
+        robot->path_points = robot->coming_points;
+        robot->path_total = robot->coming_total;
+    }
+    robot->coming.count = 0u;
+    robot->coming_points = 0u;
+    robot->coming_total = 0u;
+}
+
 int8_t fk_robot_may(const fk_robot_t *robot, uint8_t event) { return fk_supervisor_rule(robot->state, event).status; }
 
 int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
@@ -34,6 +52,9 @@ int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
     }
     const uint8_t before = robot->state;
     robot->state = rule.next;
+    if (before == FK_STATE_RUNNING && robot->state != FK_STATE_RUNNING) {
+        fk_robot_use_coming(robot); /* the next START follows the newest whole path */
+    }
     if (before != robot->state) {
         fk_robot_log_state(robot, before, event);
     }

@@ -55,6 +55,9 @@ struct fk_robot {
     uint64_t now_us;             /* the latest time that the port told */
     uint64_t heard_us;           /* when the last whole frame came; of the owner, where there is one */
     uint8_t replays;             /* lives through a log, which says itself when the link was lost */
+    fk_path_t coming;            /* a PATH that comes during a run; whole where its count is not 0 */
+    uint8_t coming_points;       /* as path_points */
+    uint8_t coming_total;
     uint8_t path_points;         /* points received so far */
     uint8_t path_total;          /* points of the path being received; path is whole when both are equal, not 0 */
     uint8_t resting_action;      /* first action that fires no limb; tables.actions where there is none */
@@ -114,6 +117,7 @@ int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uin
 int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event);
 void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
+void fk_robot_use_coming(fk_robot_t *robot);
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);
 
 /* fk_robot_watch.c */
@@ -137,6 +141,9 @@ int32_t fk_robot_table_command(fk_robot_t *robot, const fk_frame_t *frame, uint6
 int32_t fk_robot_is_owned(const fk_robot_t *robot);
 int8_t fk_robot_admit(fk_robot_t *robot, fk_frame_t *frame);
 int32_t fk_robot_key_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
+
+/* fk_path_command.c */
+int32_t fk_robot_path_command(fk_robot_t *robot, const uint8_t *payload, uint32_t length, uint8_t *answer);
 
 /* fk_commands.c */
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);

@@ -100,15 +100,15 @@ static void plan(fk_walk_t *walk, fk_plan_config_t *config)
     u8(walk, &config->depth, FK_DEPTH_MAX);
 }
 
-static void path(fk_walk_t *walk, fk_robot_t *robot)
+static void path(fk_walk_t *walk, fk_path_t *told, uint8_t *points, uint8_t *total)
 {
-    u8(walk, &robot->path_total, FK_PATH_POINTS_MAX);
-    u8(walk, &robot->path_points, robot->path_total);
+    u8(walk, total, FK_PATH_POINTS_MAX);
+    u8(walk, points, *total);
     /* A path is whole when the points received are all of them. */
-    robot->path.count = (robot->path_points == robot->path_total) ? robot->path_total : 0u;
-    f32(walk, robot->path.x_m, robot->path_points);
-    f32(walk, robot->path.y_m, robot->path_points);
-    f32(walk, robot->path.tangent_rad, robot->path_points);
+    told->count = (*points == *total) ? *total : 0u;
+    f32(walk, told->x_m, *points);
+    f32(walk, told->y_m, *points);
+    f32(walk, told->tangent_rad, *points);
 }
 
 static void follow(fk_walk_t *walk, fk_follow_t *told)
@@ -239,7 +239,8 @@ static void robot_state(fk_walk_t *walk)
     u8(walk, &robot->all_off, 1u);
     u8(walk, &robot->supply, FK_SUPPLY_LOW);
     plan(walk, &robot->plan);
-    path(walk, robot);
+    path(walk, &robot->path, &robot->path_points, &robot->path_total);
+    path(walk, &robot->coming, &robot->coming_points, &robot->coming_total);
     follow(walk, &robot->follow);
     estimator(walk, &robot->estimator);
     guard(walk, &robot->guard, robot->tables.limbs);

@@ -142,6 +142,7 @@ static void look_at_owned(void)
                            (before.state == FK_STATE_RUNNING && robot.state == FK_STATE_ARMED);
     if (!is_off || (robot.stroke_request != 0u && robot.stroke_request != before.stroke_request) ||
         memcmp(&robot.path, &before.path, sizeof(robot.path)) != 0 ||
+        memcmp(&robot.coming, &before.coming, sizeof(robot.coming)) != 0 ||
         memcmp(&robot.plan, &before.plan, sizeof(robot.plan)) != 0 || robot.period_us != before.period_us ||
         robot.fixes_used != before.fixes_used || robot.path_points != before.path_points ||
         robot.heard_us != before.heard_us || store.open != 0u || !fk_store_is_owned(&store)) {

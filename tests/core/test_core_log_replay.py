@@ -426,7 +426,7 @@ def test_no_damaged_snapshot_leads_out_of_memory() -> None:
     """Any bytes are taken or refused; what is taken can be lived with."""
     robot = run(9, 10.0)
     snapshot, then_us = snapshot_of(robot), robot.now_us
-    dice, refused, many = random.Random(3), 0, max(200, cases(2000, 100_000))
+    dice, refused, many = random.Random(3), 0, max(800, cases(2000, 100_000))
     for _ in range(many):
         spoilt = bytearray(snapshot)
         for _ in range(dice.randint(1, 5)):

@@ -35,7 +35,7 @@ TABLE: dict[str, tuple[dict[str, Value], Rows, tuple[tuple[str, str], ...]]] = {
     "PATH": (
         {"first": 0, "total": 2, "count": 2},
         [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)],
-        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"), ("FAULT", "FAULT")),
+        (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"), ("FAULT", "FAULT")),
     ),
     "START": (
         {"delay_us": 500_000}, (),
@@ -104,7 +104,7 @@ def test_boots_disarmed_with_everything_off() -> None:
     assert robot.stroke("B") == "STATE"
     assert robot.tick().limb_mask == 0
     told = robot.ask("HELLO")
-    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (5, "frog2022", PERIOD_US)
+    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (6, "frog2022", PERIOD_US)
     assert (told["states"], told["actions"], told["limbs"], told["pulse_us"]) == (60, 7, 4, 80_000)
     assert told["table_crc"] == zlib.crc32(robot.image[16:])
 
@@ -146,8 +146,8 @@ def test_wrong_lengths_are_answered(state: str) -> None:
             continue
         for size in range(40):
             fits = size == payload.bytes
-            # A PATH while running is refused for that, whatever its rows; a shorter one has no head to read.
-            fits |= name == "PATH" and state in ("RUNNING", "FAULT") and size >= payload.bytes
+            # A PATH in a fault is refused for that, whatever its rows; a shorter one has no head to read.
+            fits |= name == "PATH" and state == "FAULT" and size >= payload.bytes
             fits |= name == "TABLE_CHUNK" and size >= payload.bytes  # the store counts the rest
             fits |= name == "HELLO"  # of any length: see the versions
             if not fits:

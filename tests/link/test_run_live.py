@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool, TextFrog
 from tests.runs import rig
 
+from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened
 from frogkick.link.pty_line import PtyLine
@@ -33,9 +35,10 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.runs.closed_loop import DROPPED, ENDED, TIME, RunOptions, run_session
-from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.decision import DecisionTwin, LiveCheck
 from frogkick.runs.lab_port import LabPort
 from frogkick.runs.lab_session import LabSession
+from frogkick.runs.path_change import NextPath
 from frogkick.runs.record import run_log, tracking_of_recording
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
@@ -82,6 +85,34 @@ def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytes
         twin = DecisionTwin(rig.tables(), shape(PATH), options.config)
         again = [decision for event in recording.events if (decision := twin.apply(event))]
         assert [one.differences(two) for one, two in zip(recording.decisions, again, strict=True)] == [[]] * 3
+
+
+@pytest.mark.parametrize("transport", some(TRANSPORTS, 1))
+def test_a_path_takes_over_though_a_part_of_it_is_lost(
+    transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is sent again, and each answer comes in its turn: host and robot change at the same decision."""
+    lost: list[str] = []
+
+    def is_lost(frame: Frame) -> bool:
+        if frame.name != "PATH" or "START" not in robot.names() or lost:
+            return False
+        lost.append(frame.name)
+        return True
+
+    robot = LiveRobot(clock=PatientClock(), on_for_s=100.0, deaf_to=is_lost)
+    line = shape(PATH)
+    beside = replace(line, name="beside", y_m=line.y_m + np.float32(0.01))
+    check = LiveCheck()
+    options = RunOptions(PlanConfig(), True, 3.5 * PERIOD_S, check, then=(NextPath(beside, 0.5 * PERIOD_S),))
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        session = LabSession(LabPort(there.wire, robot.clock))
+        source = LivePool(robot.pulses, robot.clock)
+        recording = run_session(session, source, rig.tables(), line, options)
+        assert session.port.resent >= 1
+    assert lost == ["PATH"]
+    assert [(change.path, change.decision) for change in recording.then] == [(beside, 1)]
+    assert check.agreed == len(recording.decisions) == 4 and check.unchecked == 0
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)

@@ -49,6 +49,14 @@ def run(
             "dx, dy or tangent_rad), 100 points (more are resampled) and at most 50 m of length."
         ),
     ] = "line",
+    then: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A path that takes over without a stop: PATH@SECONDS, seconds after the first decision. The "
+            "robot goes on where it is nearest to it. With @here behind it the path begins where the robot "
+            "is. May be given several times."
+        ),
+    ] = None,
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
     learn: Annotated[
@@ -140,6 +148,7 @@ def run(
         depth=depth,
         learn=learn,
         inside=inside,
+        then=then or (),
         seed=seed,
         time_limit_s=simulated_time,
         fix_rate_hz=fix_rate,
@@ -163,12 +172,15 @@ def run(
             "where the robot is, and that it leads where the robot can go"
         )
     from frogkick.front.bench import UNFINISHED
+    from frogkick.front.next_paths import not_reached
     from frogkick.front.run_progress import lacks_a_limb, tight_path
 
     if lacks := lacks_a_limb(found.ended):
         say(lacks)
     elif tight := tight_path(found, found.tracking):
         say(tight)
+    if lacking := not_reached(len(then or ()), found.log):
+        say(lacking)
     if found.ended in UNFINISHED:
         say(f"the path was not completed, as {UNFINISHED[found.ended]}")
     failed = found.tracking.limit_violations or found.tracking.stood or bool(lacks)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import enum
 
 import numpy as np
+import numpy.typing as npt
 
 from frogkick.planner import route
 from frogkick.planner.plan import Cost, PathLike, Plan, PlanConfig, path_rows
 from frogkick.tables.image import Tables
+
+Float32 = npt.NDArray[np.float32]
 
 IDLE_DECISIONS_MAX = 40
 _GAIN = np.float32(0.25)
@@ -29,16 +32,62 @@ class Follow:
     or that much nearer to it. After IDLE_DECISIONS_MAX decisions without progress the run has stalled.
 
     Attributes:
+        path: the path that is followed.
+        coming: a path that takes its place at the next decision with an estimate; None: there is none.
         along_points: float32, place along the path at the last decision, in points; 0 at the start.
     """
 
     def __init__(self, tables: Tables, path: PathLike, config: PlanConfig) -> None:
-        self._path = path_rows(path)
+        self.coming: PathLike | None = None
+        self._use(path)
         self._reach_m = np.float32(tables.stroke_max_m)
         self._is_route = config.cost == Cost.ROUTE
+        self.begin()
+
+    def _use(self, path: PathLike) -> None:
+        self.path = path
+        self._path = path_rows(path)
+
+    def begin(self) -> None:
+        """Start a run, on the newest path."""
+        if self.coming is not None:
+            self._use(self.coming)
+        self.coming = None
         self.along_points = np.float32(0.0)
         self._mark: tuple[np.float32, tuple[np.float32, np.float32], np.float32] | None = None
         self._idle = 0
+
+    def take_over(self, x_m: np.float32, y_m: np.float32) -> None:
+        """Follow the coming path, if there is one, from where the robot is nearest to it.
+
+        Where several of its stretches are as near, it is the first of these: a path that closes or crosses
+        itself is not cut short. As near: the squares of the distances differ by that of a stroke at most.
+
+        Args:
+            x_m, y_m: the robot's place, world.
+        """
+        if self.coming is None:
+            return
+        self.begin()
+        parts, distances2 = self._nearest_parts(x_m, y_m)
+        near = distances2 <= distances2.min() + self._reach_m * self._reach_m
+        first = int(np.argmax(near))
+        beyond = np.flatnonzero(~near[first:])
+        stretch = distances2[first : first + int(beyond[0])] if len(beyond) else distances2[first:]
+        segment = first + int(np.argmin(stretch))
+        self.along_points = np.float32(segment) + parts[segment]
+
+    def _nearest_parts(self, x_m: np.float32, y_m: np.float32) -> tuple[Float32, Float32]:
+        """(n - 1,) nearest place on each segment, a share of it, and its squared distance from a position."""
+        here, along = self._path[:2, :-1], np.diff(self._path[:2], axis=1)
+        away = np.array([[x_m], [y_m]], dtype=np.float32) - here
+        length2 = along[0] * along[0] + along[1] * along[1]
+        done2 = away[0] * along[0] + away[1] * along[1]
+        at_end = done2 >= length2
+        parts = np.where(done2 > 0.0, done2 / np.where(at_end, np.float32(1.0), length2), np.float32(0.0))
+        parts = np.where(at_end, np.float32(1.0), parts)
+        across = away - parts * along
+        return parts, across[0] * across[0] + across[1] * across[1]
 
     def decided(self, plan: Plan) -> End | None:
         """Note a decision; return why the run ends with it, or None."""
@@ -53,7 +102,7 @@ class Follow:
 
         With the route cost a run ends as soon as it crosses the path's end.
         """
-        if self._mark is None or not self._is_route:
+        if self.coming is not None or self._mark is None or not self._is_route:
             return None
         stroke_max = route.stroke_scale(self._reach_m)
         segment, part, distance2, _ = route.project(self._path, stroke_max, self.along_points, x_m, y_m)

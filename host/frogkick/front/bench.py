@@ -15,7 +15,6 @@ from typing import Protocol
 import numpy as np
 
 from frogkick.core.errors import InputError, nearest_name
-from frogkick.core.poses import rotation
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.places import built_firmware, start_pose
@@ -35,6 +34,7 @@ from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.runs.line_fixes import LineFixes
 from frogkick.runs.live_view import tree_of
+from frogkick.runs.path_change import NextPath
 from frogkick.runs.pool_fixes import PoolFixes
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.text_robot import TextRobot
@@ -177,13 +177,22 @@ class Sight:
 
     def placed(self, path: SwimPath, pose_world: Sequence[float]) -> SwimPath:
         """Return the path, moved to its beginning."""
+        motion = self._motion(path, pose_world)
+        return path if motion is None else path.place(motion)
+
+    def placed_with(
+        self, path: SwimPath, then: Sequence[NextPath], pose_world: Sequence[float]
+    ) -> tuple[NextPath, ...]:
+        """Return the paths after a path, moved as that is."""
+        motion = self._motion(path, pose_world)
+        if motion is None:
+            return tuple(then)
+        return tuple(one if one.here else replace(one, path=one.path.place(motion)) for one in then)
+
+    def _motion(self, path: SwimPath, pose_world: Sequence[float]) -> tuple[float, float, float] | None:
         if self.begin is None:
-            return path
-        x_m, y_m, heading_rad = pose_world if self.begin == "here" else parse_begin(self.begin)
-        first = np.array([path.x_m[0], path.y_m[0]], dtype=np.float64)
-        turn = heading_rad - float(path.tangent_rad[0])
-        shift = np.array([x_m, y_m]) - rotation(turn) @ first
-        return path.place((float(shift[0]), float(shift[1]), turn))
+            return None
+        return path.motion_to(pose_world if self.begin == "here" else parse_begin(self.begin))
 
 
 def parse_begin(text: str, what: str = "--begin") -> tuple[float, float, float]:
@@ -337,8 +346,10 @@ def run_on_bench(
         fixes.wait_first(FIRST_FIX_S)
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
-            path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
-        checked = check_start(seen, path, pool_m)
+            newest = [float(value) for value in seen[-1].pose_world]
+            then = sight.placed_with(path, options.then, newest)
+            path, options = sight.placed(path, newest), replace(options, then=then)
+        checked = check_start(seen, path, pool_m, [one.path for one in options.then if not one.here])
         wire = bench.wire or stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, bench.dialect, image, robot, bench.key))
         session.handshake(tables)

@@ -84,6 +84,8 @@ class RunProgress:
 
     def progress(self, _time_s: float, index: int) -> None:
         """Show the state after a decision at the nearest path point."""
+        if self._recording.then:
+            self._points = len(self._recording.then[-1].path)
         notes = [self._plan(), self._lost(), "" if self._check is None else self._check.text]
         self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
 

@@ -6,9 +6,9 @@ import copy
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property, partial
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.extras import EXTRAS, require
 from frogkick.core.files import require_writable, sole_writer
-from frogkick.core.progress import Progress, progress_bar, shown, tell_line
+from frogkick.core.progress import Progress, progress_bar, shown
 from frogkick.effects import World, read_world
 from frogkick.front.bench import (
     Bench,
@@ -31,6 +31,8 @@ from frogkick.front.bench import (
     run_on_bench,
 )
 from frogkick.front.html import page_of
+from frogkick.front.next_paths import Then, next_paths, then_json
+from frogkick.front.partial_logs import Keep, log_so_far, reports_partial_log
 from frogkick.front.places import (
     plan_config,
     require_plan,
@@ -53,7 +55,7 @@ from frogkick.runs.closed_loop import Recording, RunOptions, require_seed, requi
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
-from frogkick.runs.live_log import CUT_OFF, logged, part_of
+from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.record import BATTERY_V, Tracking, lost_of, made_of, run_log, tracking_of_recording
 from frogkick.runs.recorded import import_recorded
 from frogkick.runs.recorded import load_run as load_log
@@ -177,7 +179,8 @@ class Run(RunLog):
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""
         learned = {"lost": lost_of(self), "wall_clearance_m": clearance_m(self)}
-        return {**self.tracking.as_json(), **self.checked, **learned, "ended": self.ended}
+        then = {"then": then_json(self)}
+        return {**self.tracking.as_json(), **self.checked, **learned, **then, "ended": self.ended}
 
     def __repr__(self) -> str:
         name = "no path" if self.path is None else self.path.name
@@ -241,6 +244,7 @@ def run(
     depth: int | None = None,
     learn: bool = False,
     inside: str | Sequence[float] | None = None,
+    then: Then | Sequence[Then] = (),
     seed: int = 0,
     time_limit_s: float = 120.0,
     fix_rate_hz: float = 15.0,
@@ -273,6 +277,8 @@ def run(
         depth: periods to look ahead, 1 to 4; None: the planner's own.
         learn: whoever decides learns what each limb has lost, and plans with it.
         inside: walls to keep from: x, y, x, y of opposite corners, m, or "pool": the calibration's.
+        then: paths that take over without a stop: "ellipse@20" or ("ellipse", 20.0) at 20 s after the first
+            decision; "ellipse@20@here", ("ellipse", 20.0, "here"): it begins where the robot then is.
         seed: seed of the simulated camera's noise.
         time_limit_s: time limit, s; of the pool if that is simulated.
         fix_rate_hz: simulated position fixes per second.
@@ -314,7 +320,8 @@ def run(
     check = LiveCheck() if plan == "both" else None
     stopped = threading.Event()  # by the button of the page
     config = walled(plan_config(described, planner, depth), inside, used, fixes)
-    options = RunOptions(config, plan != "host", time_limit_s, check, stopped.is_set, learn)
+    following = next_paths(then, time_limit_s)
+    options = RunOptions(config, plan != "host", time_limit_s, check, stopped.is_set, learn, following)
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
     known = {} if battery_v is None else {BATTERY_V: battery_v}
     pool, made = None, dict[str, str]()
@@ -336,7 +343,7 @@ def run(
                 with log(placed, made) as write, drawn as draw:
                     yield _in_turn(said.keep, write, draw)
 
-            stack.enter_context(_reports_partial_log(target))
+            stack.enter_context(reports_partial_log(target))
             recording, desired = run_on_bench(
                 bench, image, described, used.tables, desired, options, kept, said.progress
             )
@@ -361,7 +368,7 @@ def run(
                 source=name,
                 made=made,
             )
-            with _log_so_far(target, whole) as keep:
+            with log_so_far(target, whole) as keep:
                 tell, session = _in_turn(said.keep, draw, keep), Session(port)
                 recording = run_session(session, pool, used.tables, desired, options, said.progress, tell)
     log_seed = None if is_real else seed
@@ -377,9 +384,6 @@ def run(
 def compile_rods(robot: Robot) -> None:
     """Compile the simulation if needed, by simulating a moment of a pool."""
     Pool(robot, (0.0, 0.0, 0.0), SimulatedCamera(), np.random.default_rng(0), World()).advance(1e-3)
-
-
-Keep = Callable[[Recording], None]
 
 
 def _now_unix_s() -> float:
@@ -420,31 +424,3 @@ def _in_turn(*keepers: Keep) -> Keep:
             one(recording)
 
     return keep
-
-
-@contextmanager
-def _reports_partial_log(out: Path | None) -> Iterator[None]:
-    """If a run breaks off, print where its log is."""
-    try:
-        yield
-    except BaseException:
-        if out is not None and part_of(out).exists():
-            _report_partial_log(out)
-        raise
-
-
-@contextmanager
-def _log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iterator[Keep]:
-    """If a simulated run breaks off, write its log so far beside ``out``."""
-    held: dict[str, Recording] = {}
-    try:
-        yield lambda recording: held.update(newest=recording)
-    except BaseException:
-        if out is not None and held:
-            write_run(part_of(out), replace(log_of(held["newest"]), notes=CUT_OFF))
-            _report_partial_log(out)
-        raise
-
-
-def _report_partial_log(out: Path) -> None:
-    tell_line(f"frogkick: the recording so far is in {str(part_of(out))!r}")

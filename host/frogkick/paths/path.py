@@ -131,6 +131,14 @@ class Path:
         """Length of the polyline through the points, m."""
         return float(np.hypot(*np.diff(self.points_m, axis=0).T).sum())
 
+    def motion_to(self, pose_world: Sequence[float]) -> tuple[float, float, float]:
+        """The pose for ``place`` at which the path begins at a pose (x m, y m, heading rad)."""
+        x_m, y_m, heading_rad = pose_world
+        turn = heading_rad - float(self.tangent_rad[0])
+        first = np.array([self.x_m[0], self.y_m[0]], dtype=np.float64)
+        shift = np.array([x_m, y_m]) - rotation(turn) @ first
+        return float(shift[0]), float(shift[1]), turn
+
     def place(self, pose_world: Sequence[float] | ArrayLike) -> Path:
         """The path with its origin and x axis moved to a pose (x m, y m, heading rad).
 

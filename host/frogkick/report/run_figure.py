@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
-from frogkick.runs.record import learned_limbs
+from frogkick.runs.record import distances_m, learned_limbs
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import residual, track_of, true_poses_at
 from frogkick.tables.layout import LOST_MAX
@@ -85,9 +85,10 @@ def _beside(points: FloatArray) -> FloatArray:
 
 
 def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
-    if run.path is not None:
-        path = 100.0 * run.path.points_m
-        axes.plot(*path.T, color=style.DESIRED, linewidth=2.5, linestyle="--", label="desired path")
+    for number, (_, path) in enumerate(run.paths):
+        label = "_" if number else "desired path" if not run.then else "desired paths"
+        points = 100.0 * path.points_m
+        axes.plot(*points.T, color=style.DESIRED, linewidth=2.5, linestyle="--", label=label)
     usable = run.fixes.usable
     fixes = 100.0 * np.column_stack([run.fixes.x_m, run.fixes.y_m])[usable]
     axes.plot(*fixes.T, ".", color=style.MEASURED, markersize=2.5, label="position fixes")
@@ -112,7 +113,7 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
             color=seen.colour,
         )
     if run.path is not None:
-        axes.plot(*path[0], "s", color=style.DESIRED, label="start of the path")
+        axes.plot(*(100.0 * run.path.points_m[0]), "s", color=style.DESIRED, label="start of the path")
     style.pool_axes(axes)
     axes.set_title("Track over the path, with the actions chosen")
     axes.legend(loc="best")
@@ -120,11 +121,12 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
 
 def _distance(axes: Axes, run: RunLog, seen: _Seen) -> None:
     assert run.path is not None
-    distance_mm = 1e3 * run.path.distance_m(seen.poses[:, :2])
+    distance_mm = 1e3 * distances_m(run.paths, seen.time_s, seen.poses)
     mean_mm = float(distance_mm.mean())
     axes.plot(seen.time_s, distance_mm, color=seen.colour)
     # After the path's end the distance only grows.
-    before_end = np.flatnonzero(run.path.nearest_index(seen.poses[:, :2]) < len(run.path) - 1)
+    last = run.paths[-1][1]
+    before_end = np.flatnonzero(last.nearest_index(seen.poses[:, :2]) < len(last) - 1)
     if before_end.size:
         axes.set_ylim(0.0, 1.15 * max(1.0, mean_mm, float(distance_mm[: before_end[-1] + 2].max())))
     axes.axhline(mean_mm, color=style.DESIRED, linestyle="--")
@@ -211,7 +213,7 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
         ):
             first_s = run.decisions.time_s[0]
             if run.path is not None:
-                distance_mm = 1e3 * run.path.distance_m(poses[:, :2])
+                distance_mm = 1e3 * distances_m(run.paths, time_s, poses)
                 label = f"{name}, mean {distance_mm.mean():.1f} mm"
                 upper.plot(time_s - first_s, distance_mm, color=colour, label=label)
             heights = [every.index(letter) for letter in run.decided()]

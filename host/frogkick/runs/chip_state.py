@@ -40,6 +40,17 @@ class Points:
     def __len__(self) -> int:
         return len(self.x_m)
 
+    def with_part(self, first: int, part: Points) -> Points:
+        """The points before an index, and a part from there on."""
+        columns = [
+            np.concatenate([getattr(self, name)[:first], getattr(part, name)])
+            for name in ("x_m", "y_m", "tangent_rad")
+        ]
+        return Points(*columns)
+
+
+NO_POINTS = Points(*(np.zeros(0, dtype=np.float32) for _ in range(3)))
+
 
 @dataclass(frozen=True, eq=False)
 class ChipState:
@@ -53,6 +64,7 @@ class ChipState:
         next_decision_us: time of the next decision.
         config: cost, weights, depth.
         points, total: path points received so far, and their number in the complete path.
+        coming, coming_total: the same of a path that comes during a run.
         along_points, mark, idle: progress along the path, as in ``Follow``.
         estimator: the twin in the robot's state.
     """
@@ -65,6 +77,8 @@ class ChipState:
     config: PlanConfig
     points: Points
     total: int
+    coming: Points
+    coming_total: int
     along_points: np.float32
     mark: tuple[np.float32, tuple[np.float32, np.float32], np.float32] | None
     idle: int
@@ -125,8 +139,8 @@ def read_state(content: bytes, tables: Tables) -> ChipState:
     weights = dict(zip(WEIGHTS, map(float, reader.floats(len(WEIGHTS))), strict=True))
     transitions_max, cost, depth = reader.take("IBB")
     config = PlanConfig(**weights, transitions_max=transitions_max, cost=cost, depth=depth)
-    total, count = reader.take("BB")
-    points = Points(reader.floats(count), reader.floats(count), reader.floats(count))
+    points, total = _read_points(reader)
+    coming, coming_total = _read_points(reader)
     along_points, mark_points, x_m, y_m, distance_m = reader.floats(5)
     idle, begun = reader.take("IB")
     return ChipState(
@@ -138,11 +152,18 @@ def read_state(content: bytes, tables: Tables) -> ChipState:
         config=config,
         points=points,
         total=total,
+        coming=coming,
+        coming_total=coming_total,
         along_points=along_points,
         mark=(mark_points, (x_m, y_m), distance_m) if begun else None,
         idle=idle,
         estimator=_read_estimator(reader, tables),
     )
+
+
+def _read_points(reader: _Reader) -> tuple[Points, int]:
+    total, count = reader.take("BB")
+    return Points(reader.floats(count), reader.floats(count), reader.floats(count)), total
 
 
 def _read_estimator(reader: _Reader, tables: Tables) -> Estimator:

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from frogkick.estimator.follow import End
+from frogkick.estimator.follow import End, Follow
+from frogkick.link.frames import PATH_POINTS_MAX
 from frogkick.link.layout import link_layout
 from frogkick.link.log import Record
 from frogkick.link.supervisor import supervisor
 from frogkick.planner.plan import transitions_within
-from frogkick.runs.chip_state import Points, read_state
+from frogkick.runs.chip_state import NO_POINTS, Points, read_state
 from frogkick.runs.decision import RESTING, Decision, DecisionTwin, decision_of_event
 from frogkick.tables.image import Tables
 
@@ -41,7 +42,10 @@ class ChipTwin(DecisionTwin):
         self._follow.along_points, self._follow._mark = state.along_points, state.mark
         self._follow._idle = state.idle
         self.decisions: list[Decision] = []
+        self._points, self._total = state.points, state.total
+        self._coming, self._coming_total = state.coming, state.coming_total
         self._has_path = len(state.points) == state.total > 1
+        self._offer_coming()
         self._period_us = state.period_us
         self._running = state.state == _LAYOUT.state["RUNNING"]
         self._next_us = state.next_decision_us
@@ -62,7 +66,9 @@ class ChipTwin(DecisionTwin):
         elif record.name == "ENDED":
             return self._ended(record)
         elif record.name == "STATE":
-            self._running = record.values["state"] == _LAYOUT.state["RUNNING"]
+            was_running, self._running = self._running, record.values["state"] == _LAYOUT.state["RUNNING"]
+            if was_running and not self._running:
+                self._use_coming()
             self._supply_low = record.values["event"] == supervisor().number("SUPPLY_LOW")
         return []
 
@@ -70,6 +76,8 @@ class ChipTwin(DecisionTwin):
         status, asked = int(record.values["status"]), record.asked
         if record.command == "FIX":
             return self._fix(record, status)
+        if record.command == "PATH" and status == _STATUS["VALUE"] and self._running:
+            self._refused_path(record)
         if status != _STATUS["OK"]:
             return []
         if record.command == "PATH":
@@ -77,8 +85,8 @@ class ChipTwin(DecisionTwin):
         elif record.command == "PARAM":
             self._set(int(asked["parameter"]), float(asked["value"]))
         elif record.command == "START":
-            self._has_path = True
-            self.restart()
+            self._has_path, self.ended = True, None
+            self._follow = Follow(self._tables, self._points, self._config)
             self._next_us = record.time_us + int(asked["delay_us"])
             self._number = 0
         elif record.command == "STROKE":
@@ -101,13 +109,31 @@ class ChipTwin(DecisionTwin):
         assert payload is not None
         first = int(record.asked["first"])
         rows = np.array(list(struct.iter_unpack(payload.repeat_format, record.rest[payload.bytes :])))
-        x_m, y_m, tangent_rad = rows.astype(np.float32).T
-        before = self._path
-        self._path = Points(
-            np.concatenate([before.x_m[:first], x_m]),
-            np.concatenate([before.y_m[:first], y_m]),
-            np.concatenate([before.tangent_rad[:first], tangent_rad]),
-        )
+        part, total = Points(*rows.astype(np.float32).T), int(record.asked["total"])
+        if not self._running:
+            self._points, self._total = self._points.with_part(first, part), total
+            return
+        self._coming, self._coming_total = self._coming.with_part(first, part), total
+        self._offer_coming()
+
+    def _offer_coming(self) -> None:
+        """The path that comes during a run is followed once it is whole."""
+        whole = len(self._coming) == self._coming_total > 0
+        self._follow.coming = self._coming if whole else None
+
+    def _refused_path(self, record: Record) -> None:
+        """A part that fits is refused for its points: nothing is left of the path that was coming."""
+        first, total, count = (int(record.asked[name]) for name in ("first", "total", "count"))
+        goes_on = first == 0 or (first, total) == (len(self._coming), self._coming_total)
+        if goes_on and 2 <= total <= PATH_POINTS_MAX and first + count <= total:
+            self._coming, self._coming_total = NO_POINTS, 0
+            self._offer_coming()
+
+    def _use_coming(self) -> None:
+        """The path that came whole during a run takes the followed one's place."""
+        if len(self._coming) == self._coming_total > 0:
+            self._points, self._total = self._coming, self._coming_total
+        self._coming, self._coming_total = NO_POINTS, 0
 
     def _set(self, parameter: int, value: float) -> None:
         name = next(name for name, number in _LAYOUT.parameter.items() if number == parameter)
@@ -128,6 +154,8 @@ class ChipTwin(DecisionTwin):
             return ["a decision without a path"]
         over = self.ended is not None
         ours = self.decide(self._next_us)
+        if self._follow.path is self._coming:
+            self._use_coming()
         differing = ours.differences(decision_of_event(record.values))
         if over:
             differing.append("the end of the run before")

@@ -29,6 +29,8 @@ from frogkick.runs.decision import (
     decision_of_event,
     events_of_frame,
 )
+from frogkick.runs.path_change import NextPath, PathChanges, PathSender
+from frogkick.runs.runlog import PathChange
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 
@@ -61,6 +63,7 @@ class Recording:
         fix_status: the robot's answer to each fix (``frames.toml``); None if no answer came.
         events: inputs of the robot's estimator and planner, in its order: they reproduce its decisions.
         decisions, edges: decisions and pin edges in order.
+        then: paths that took over, and from which decision on.
         completed: the robot reached the path's end.
         ended: why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED.
         fixes_refused: the robot's own counter.
@@ -75,6 +78,7 @@ class Recording:
     events: list[RobotEvent] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
+    then: list[PathChange] = field(default_factory=list)
     completed: bool = False
     ended: str = ""
     fixes_refused: int = 0
@@ -105,6 +109,7 @@ class RunOptions:
         config: cost weights and depth of the planner.
         onboard: True: the robot's planner decides; False: the twin on the host.
         learn: whoever decides learns what the limbs have lost, and plans with it.
+        then: paths that take over during the run, in the order of their times.
         time_limit_s: longest time from the first decision on.
         check: compares each decision of the robot with the host's; None: no comparison.
         stop: polled at each step; True ends the run.
@@ -116,6 +121,7 @@ class RunOptions:
     check: LiveCheck | None = None
     stop: Callable[[], bool] = lambda: False
     learn: bool = False
+    then: tuple[NextPath, ...] = ()
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
@@ -215,6 +221,8 @@ class _Run:
     def __post_init__(self) -> None:
         self.recording.edges = self.session.edges  # grows with the session
         self.session.on_step = self._advance_source
+        self.changes = PathChanges(self.options.then, self.recording.then)
+        self.sender = PathSender(self.session)
         self.twin = DecisionTwin(self.tables, self.path, self.options.config, learn=self.options.learn)
 
     def go(self) -> Recording:
@@ -249,6 +257,9 @@ class _Run:
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while session.time_s < limit_s:
             self._run_until(min(session.time_s + 0.05, limit_s))
+            path = self.changes.due(session.time_s - recording.first_decision_s, recording.fixes)
+            if path is not None and not recording.ended:
+                self.sender.begin(path)
             if session.reconnected() and not recording.ended:
                 self._check_still_running()
             if recording.ended:
@@ -279,10 +290,15 @@ class _Run:
             if self.twin.is_lost(at_us):
                 recording.ended = ENDED["STALE"]
                 return
+            path = self.changes.due(session.time_s - recording.first_decision_s, recording.fixes)
+            if path is not None:
+                self.twin.change_path(path)
+                self.changes.arrived(path)
             began_s = time.perf_counter()
             decision = self.twin.decide(at_us)
             decision = replace(decision, plan_us=round((time.perf_counter() - began_s) * 1e6))
             recording.decisions.append(decision)
+            self.changes.decided(recording.decisions)
             self.progress(session.time_s, decision.path_index)
             if self._ended_on_host():
                 return
@@ -299,7 +315,7 @@ class _Run:
     def _run_until(self, until_s: float) -> None:
         while self.session.time_s < until_s and (self.options.onboard or self.twin.ended is None):
             self.session.step(min(max(self.source.next_event_s, self.session.time_s + 1e-6), until_s))
-            for arrival in self.session.take("FIX", "STROKE", "DECISION", "REFUSED", "ENDED"):
+            for arrival in self.session.take("FIX", "STROKE", "PATH", "DECISION", "REFUSED", "ENDED"):
                 self._handle(arrival.frame)
             self.recording.end_s = self.session.time_s
             self.keep(self.recording)
@@ -311,6 +327,9 @@ class _Run:
             return
         poses = {key: recording.fixes[row].pose_world for key, row in self._unanswered.items()}
         events = events_of_frame(frame, poses)
+        if frame.name == "PATH" and (path := self.sender.answered(frame)) is not None:
+            self.changes.arrived(path)
+            events = [RobotEvent(0, path=path)]
         recording.events += events
         decision = decision_of_event(values) if frame.name == "DECISION" else None
         if self.options.check is not None:
@@ -330,6 +349,7 @@ class _Run:
                 self.twin.act(int(values["begin_us"]) - recording.clock_offset_us, RESTING)
         elif decision is not None:
             recording.decisions.append(decision)
+            self.changes.decided(recording.decisions)
             self.progress(self.session.time_s, decision.path_index)
         elif frame.name == "ENDED":
             recording.completed = values["status"] == 0

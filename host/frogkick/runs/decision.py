@@ -93,7 +93,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class RobotEvent:
-    """An input of the robot's estimator and planner: a fix, an action, an aborted run, or a decision.
+    """An input of the robot's estimator and planner: a fix, an action, an aborted run, a path, or a decision.
 
     Attributes:
         time_us: capture time of the fix, start of the action, or time of the decision, robot's clock.
@@ -101,6 +101,7 @@ class RobotEvent:
         sequence: number of the fix.
         action: of an action only: index of the one that a command began, or RESTING.
         lost: the run ended because fixes or supply failed. Neither a fix nor a decision implies that end.
+        path: a path that takes over during the run; the robot has received it whole.
     """
 
     time_us: int
@@ -108,6 +109,7 @@ class RobotEvent:
     sequence: int = 0
     action: int | None = None
     lost: bool = False
+    path: Path | None = None
 
 
 def lost_text(lost: Sequence[int], limbs: Sequence[str]) -> str:
@@ -157,13 +159,14 @@ def decision_of_event(values: dict[str, Value]) -> Decision:
 
 def decide(
     tables: Tables,
-    path: PathLike,
     config: PlanConfig,
     estimator: Estimates,
     follow: Follow,
     at_us: int,
 ) -> tuple[Decision, End | None]:
     """Estimate and plan for a time as the robot does. ``follow`` is updated, the estimator is not.
+
+    A path that has come (``Follow.coming``) takes over where there is an estimate.
 
     Returns:
         The decision, and why it ends the run or None.
@@ -173,15 +176,19 @@ def decide(
     estimate = estimator.at(at_us)
     if estimate is None:
         return resting, None
+    follow.take_over(estimate.state[0], estimate.state[1])
     resting = replace(
         resting,
+        along_points=follow.along_points,
         fix_sequence=estimate.fix_sequence,
         fixes=estimate.fixes,
         estimate=estimate.state,
         limb_use=tuple(int(use) for use in estimate.limb_use),
     )
     try:
-        made = plan(tables, path, config, estimate.state, estimate.limb_use, float(follow.along_points))
+        made = plan(
+            tables, follow.path, config, estimate.state, estimate.limb_use, float(follow.along_points)
+        )
     except PlanError as error:
         return replace(resting, status=error.status), None
     planned = {
@@ -212,7 +219,6 @@ class DecisionTwin:
             learn: the twin of the robot's own learns what the limbs have lost, and plans with it.
         """
         self._tables = tables
-        self._path = path
         self._config = config
         own = estimator if isinstance(estimator, Estimator) else Estimator(tables)
         if learn:
@@ -220,8 +226,8 @@ class DecisionTwin:
         self._track = own.track
         self._estimator: Estimates = estimator or own
         self._resting_action = resting_action_of(tables)
+        self._follow = Follow(tables, path, config)
         self.ended: End | None = None
-        self.restart()
 
     @property
     def wear(self) -> WearFilter | None:
@@ -239,9 +245,13 @@ class DecisionTwin:
         """Replace the action that ``decide`` chose; RESTING: the robot does not start it."""
         self._estimator.act(at_us, self._resting_action if action == RESTING else action)
 
+    def change_path(self, path: Path) -> None:
+        """Follow another path from the next decision with an estimate on."""
+        self._follow.coming = path
+
     def restart(self) -> None:
-        """Start a new run at the path's begin."""
-        self._follow = Follow(self._tables, self._path, self._config)
+        """Start a new run at the begin of the newest path."""
+        self._follow.begin()
         self.ended = None
 
     def apply(self, event: RobotEvent) -> Decision | None:
@@ -250,6 +260,8 @@ class DecisionTwin:
             self.add_fix(event.time_us, event.pose_world, event.sequence)
         elif event.action is not None:
             self.act(event.time_us, event.action)
+        elif event.path is not None:
+            self.change_path(event.path)
         elif event.lost:
             self.restart()
         else:
@@ -266,7 +278,7 @@ class DecisionTwin:
         if self.ended is not None:
             self.restart()
         tables = self._track.tables
-        decision, self.ended = decide(tables, self._path, self._config, self._estimator, self._follow, at_us)
+        decision, self.ended = decide(tables, self._config, self._estimator, self._follow, at_us)
         if self.ended is None:
             self._estimator.act(at_us, decision.action)
         return decision

@@ -45,6 +45,7 @@ def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
         "pulse_s": run.pulse_s,
         "actions": list(run.action_names),
         "path": None if run.path is None else run.path.name,
+        "then": [change.path.name for change in run.then],
         "table_crc": run.table_crc,
         "seed": run.seed,
         "notes": run.notes,
@@ -85,6 +86,13 @@ def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
         yield (
             "path",
             {"x_m": run.path.x_m, "y_m": run.path.y_m, "tangent_rad": run.path.tangent_rad},
+        )
+    for number, change in enumerate(run.then, start=1):
+        path = change.path
+        rows = np.full(len(path), change.decision)
+        yield (
+            f"then_{number}",
+            {"decision": rows, "x_m": path.x_m, "y_m": path.y_m, "tangent_rad": path.tangent_rad},
         )
 
 

@@ -170,9 +170,10 @@ def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
     if run.truth is not None:
         for time_s, pose in zip(run.truth.time_s, run.truth.pose_world, strict=True):
             yield Message("/truth", at(time_s), *foxglove.pose(at(time_s), POOL, pose))
-    if run.path is not None:
-        poses = np.column_stack([run.path.x_m, run.path.y_m, run.path.tangent_rad])
-        yield Message("/path", begin_ns, *foxglove.poses(begin_ns, POOL, poses))
+    for from_s, path in run.paths:
+        poses = np.column_stack([path.x_m, path.y_m, path.tangent_rad])
+        from_ns = at(from_s) if math.isfinite(from_s) else begin_ns
+        yield Message("/path", from_ns, *foxglove.poses(from_ns, POOL, poses))
     for time_s, pose in _best_poses(run):
         yield Message("/tf", at(time_s), *foxglove.transform(at(time_s), POOL, ROBOT, pose))
 

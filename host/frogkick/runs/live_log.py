@@ -20,7 +20,7 @@ from frogkick.paths import Path
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.record import decision_columns, fix_columns, run_log
-from frogkick.runs.runlog import Decisions, Fixes, RunLog
+from frogkick.runs.runlog import Decisions, Fixes, PathChange, RunLog
 from frogkick.runs.runlog_file import fill
 from frogkick.tables.image import Tables
 
@@ -36,6 +36,14 @@ class _Answer:
     row: int
     capture_us: int
     status: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """A path that took over, the ``number``-th."""
+
+    number: int
+    change: PathChange
 
 
 def part_of(target: pathlib.Path) -> pathlib.Path:
@@ -58,7 +66,7 @@ class LiveLog:
             InputError: the file cannot be written.
         """
         self.path = part_of(target)
-        self._fixes = self._decisions = 0
+        self._fixes = self._decisions = self._changes = 0
         self._unanswered: list[int] = []
         self._onboard = onboard
         try:
@@ -72,7 +80,7 @@ class LiveLog:
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
         self._written = Bell()
-        self._waiting: list[Fixes | Decisions | _Answer] = []
+        self._waiting: list[Fixes | Decisions | _Answer | _Change] = []
         self._writing = self._closing = False
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._live, name="log", daemon=True)
@@ -90,11 +98,14 @@ class LiveLog:
         answered = [row for row in self._unanswered if recording.fix_status[row] is not None]
         if not (new or decided or answered):
             return
-        rows: list[Fixes | Decisions | _Answer] = []
+        rows: list[Fixes | Decisions | _Answer | _Change] = []
         if new or answered:
             rows += self._new_fixes(recording, answered)
         if decided:
             rows.append(self._new_decisions(recording))
+            changes = list(enumerate(recording.then))[self._changes :]
+            rows += [_Change(number, change) for number, change in changes]
+            self._changes += len(changes)
         with self._lock:
             self._waiting += rows
             self._condition.notify_all()
@@ -162,8 +173,8 @@ class LiveLog:
                 # Writing one row takes as long as writing ten, so gather some.
                 self._condition.wait_for(lambda: self._closing, GATHER_S)
 
-    def _write(self, rows: list[Fixes | Decisions | _Answer]) -> None:
-        """Append and flush new rows, then fill in the answers to earlier ones."""
+    def _write(self, rows: list[Fixes | Decisions | _Answer | _Change]) -> None:
+        """Append and flush new rows, then fill in the answers to earlier ones, and paths that took over."""
         for kind in (Fixes, Decisions):
             groups = [group for group in rows if isinstance(group, kind)]
             if groups:
@@ -178,6 +189,18 @@ class LiveLog:
                 data = self._file[f"{Fixes.NAME}/{name}"]
                 data[order] = values
                 data.flush()
+        for row in rows:
+            if isinstance(row, _Change):
+                self._write_change(row)
+
+    def _write_change(self, row: _Change) -> None:
+        for name in ("x_m", "y_m", "tangent_rad"):
+            data = self._file[f"then/{row.number}/{name}"]
+            data[:] = getattr(row.change.path, name)
+            data.flush()
+        data = self._file["then/decision"]
+        data[row.number] = row.change.decision
+        data.flush()
 
     def _append(self, groups: Sequence[Fixes | Decisions]) -> None:
         kind = groups[0]
@@ -212,7 +235,9 @@ def logged(
             yield lambda _recording: None
             return
         empty = run_log(Recording(), None, robot, tables, path, options, None, source, made=made)
-        live = LiveLog(target, replace(empty, measured=known or {}, notes=CUT_OFF), options.onboard)
+        planned = tuple(PathChange(-1, one.path) for one in options.then)
+        empty = replace(empty, then=planned, measured=known or {}, notes=CUT_OFF)
+        live = LiveLog(target, empty, options.onboard)
         try:
             yield live.keep
         finally:

@@ -84,7 +84,8 @@ class LiveView:
     """The state of a run as JSON; another thread serves ``text`` to a page.
 
     Attributes:
-        tables, path, config: of the run; None if nothing is decided, as with a camera alone.
+        tables, path, config: of the run; None if nothing is decided, as with a camera alone. The path is the
+            one that is followed now.
         outline_m: (n)(2) outline of the robot, body frame.
         limbs: their names, to tell what they have lost.
         camera: where its pictures are shown; the state is given in their pixels too.
@@ -106,6 +107,8 @@ class LiveView:
         """Show a recording, and the (n, 3) true poses of a simulated pool."""
         if len(recording.decisions) != self._decisions:
             self._decisions = len(recording.decisions)
+            if recording.then:
+                self.path = recording.then[-1].path
             self._plan(recording)
         fixes = np.array([fix.pose_world for fix in recording.fixes]).reshape(-1, 3)
         newest = recording.fixes[-1] if recording.fixes else None
@@ -114,6 +117,8 @@ class LiveView:
 
     def show_log(self, run: RunLog, time_s: float) -> None:
         """Show a log up to a time."""
+        followed = [path for from_s, path in run.paths if from_s <= time_s]
+        self.path = followed[-1] if followed else None
         seen = run.fixes.usable & (run.fixes.time_s <= time_s)
         fixes = run.fixes.pose_world[seen]
         ages_s = (run.fixes.time_s - run.fixes.capture_time_s)[seen]

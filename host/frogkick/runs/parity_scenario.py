@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,13 @@ from frogkick.pool.chip.layout import Layouts
 from frogkick.pool.native_robot import COLD_LIMBS, CoreCall, NativeRobot
 from frogkick.runs.decision import Decision, DecisionTwin, RobotEvent
 from frogkick.runs.replay import Schedule, compare, replay_on_host, replay_onboard
+from frogkick.runs.runlog import PathChange
 from frogkick.tables.image import Tables
 
 FIRST_S = 2.0
+_BESIDE = (0.01, -0.005, 0.05)
+"""Pose at which the path is placed that takes over for a third of the decisions."""
+
 _RATES_HZ = (2.0, 15.0, 60.0)
 _WORN_SHARE = 20_000
 """Of 32767: what a limb loses after a third of the decisions, where the table has wear curves."""
@@ -89,6 +93,8 @@ def record_scenario(
 ) -> ParityScenario:
     """Let the native core decide on ``schedule_fixes``, and learn what the limbs have lost.
 
+    Two other paths take over on the way: the path itself a little off, and the path again.
+
     Args:
         library: shared library made by ``firmware build --target native``.
         tables: its tables.
@@ -100,6 +106,9 @@ def record_scenario(
         LinkError: the core refuses or does not answer.
     """
     schedule = schedule_fixes(tables, path, config, decisions, np.random.default_rng(seed))
+    beside = path.place(_BESIDE)
+    then = (PathChange(decisions // 3, beside), PathChange(2 * decisions // 3, path))
+    schedule = replace(schedule, then=then)
     robot = NativeRobot(library, tables.limbs, keep_calls=True)
     found, events = replay_onboard(schedule, path, tables, config, robot, learn=can_learn(tables))
     return ParityScenario(robot.calls, found, events)

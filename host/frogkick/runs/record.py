@@ -6,7 +6,7 @@ import hashlib
 import pathlib
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -194,6 +194,7 @@ def run_log(
             pulse_s=np.array([end - start for start, end in starts]),
         ),
         path=path,
+        then=tuple(recording.then),
         truth=None if pool is None else _truth(pool),
         table_crc=tables.crc32,
         seed=seed,
@@ -287,7 +288,11 @@ def tracking_of_recording(recording: Recording, pool: Pool | None, robot: Robot,
     during = (time_s >= recording.first_decision_s) & (time_s <= recording.end_s)
     plan_ms = [d.plan_us * 1e-3 for d in recording.decisions if d.status == 0]
     pulses = pulses_of(recording.edges, recording.end_s)
-    mean_m, p95_m, progress_mps = along_path(path, time_s[during], poses[during])
+    paths = [(-np.inf, path)]
+    for change in recording.then:
+        after_us = recording.decisions[change.decision].scheduled_us - recording.decisions[0].scheduled_us
+        paths.append((recording.first_decision_s + 1e-6 * after_us, change.path))
+    mean_m, p95_m, progress_mps = along_paths(paths, time_s[during], poses[during])
     return Tracking(
         mean_distance_m=mean_m,
         p95_distance_m=p95_m,
@@ -308,10 +313,39 @@ def along_path(path: Path, time_s: np.ndarray, poses_world: np.ndarray) -> tuple
         time_s: (n,) times of the poses.
         poses_world: (n, 3) or (n, 2) poses; fewer than two give zeros.
     """
+    return along_paths([(-np.inf, path)], time_s, poses_world)
+
+
+def along_paths(
+    paths: Sequence[tuple[float, Path]], time_s: np.ndarray, poses_world: np.ndarray
+) -> tuple[float, float, float]:
+    """The same for paths that follow each other, each with the time from which on it is followed."""
     if len(time_s) < 2:
         return 0.0, 0.0, 0.0
-    distance_m = path.distance_m(poses_world[:, :2])
-    arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
-    first, last = path.nearest_index(poses_world[[0, -1], :2])
-    progress_mps = (arc_m[last] - arc_m[first]) / (time_s[-1] - time_s[0])
+    distance_m = distances_m(paths, time_s, poses_world)
+    advance_m = 0.0
+    for path, rows in _followed(paths, time_s):
+        arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+        first, last = path.nearest_index(poses_world[[rows[0], rows[-1]], :2])
+        advance_m = advance_m + (arc_m[last] - arc_m[first])
+    progress_mps = advance_m / (time_s[-1] - time_s[0])
     return float(distance_m.mean()), float(np.percentile(distance_m, 95)), float(progress_mps)
+
+
+def distances_m(
+    paths: Sequence[tuple[float, Path]], time_s: np.ndarray, poses_world: np.ndarray
+) -> np.ndarray:
+    """(n,) distance of each pose to the path that was followed then, m; arguments as for ``along_paths``."""
+    distance_m = np.zeros(len(time_s))
+    for path, rows in _followed(paths, time_s):
+        distance_m[rows] = path.distance_m(poses_world[rows, :2])
+    return distance_m
+
+
+def _followed(paths: Sequence[tuple[float, Path]], time_s: np.ndarray) -> Iterator[tuple[Path, np.ndarray]]:
+    """Each path, and the rows of the times at which it was followed, in order; not where there are none."""
+    newest = np.searchsorted([from_s for from_s, _ in paths], time_s, side="right") - 1
+    for index, (_, path) in enumerate(paths):
+        rows = np.flatnonzero(newest == index)
+        if len(rows):
+            yield path, rows

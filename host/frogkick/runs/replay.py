@@ -23,9 +23,10 @@ from frogkick.runs.decision import (
     decision_of_event,
     events_of_frame,
 )
+from frogkick.runs.path_change import PathSender
 from frogkick.runs.record import LEARN
 from frogkick.runs.recorded import clock_problem
-from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 
@@ -66,12 +67,14 @@ class Schedule:
     Attributes:
         fixes: (arrival, fix), robot time in s, in order of arrival.
         first_us, period_us, decisions: time of the first decision, period, and number of decisions.
+        then: paths that take over.
     """
 
     fixes: list[tuple[float, Fix]]
     first_us: int
     period_us: int
     decisions: int
+    then: tuple[PathChange, ...] = ()
 
 
 def require_replayable(run: RunLog) -> None:
@@ -110,7 +113,7 @@ def _schedule(run: RunLog) -> Schedule:
             (arrival_s, Fix(capture_s, arrival_s - capture_s, *pose, sequence=int(numbers[row]) & 0xFFFF))
         )
     first_us = round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
-    return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions))
+    return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions), run.then)
 
 
 def replay(
@@ -177,6 +180,9 @@ def _events_of(schedule: Schedule) -> list[RobotEvent]:
         (round(arrival_s * 1e6), 0, RobotEvent(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence))
         for arrival_s, fix in schedule.fixes
     ]
+    for change in schedule.then:  # when it came is not known: at once after the decision before
+        before_us = schedule.first_us + (change.decision - 1) * schedule.period_us
+        timed.append((before_us, 2, RobotEvent(0, path=change.path)))
     for index in range(schedule.decisions):
         at_us = schedule.first_us + index * schedule.period_us
         timed.append((at_us, 1, RobotEvent(at_us)))
@@ -207,6 +213,7 @@ def replay_onboard(
     session.send_path(path)
     waiting = list(schedule.fixes)
     poses: dict[int, npt.NDArray[np.float32]] = {}
+    sender, changes = PathSender(session), list(schedule.then)
     events: list[RobotEvent] = []
     decisions: list[Decision] = []
     running = False
@@ -215,15 +222,19 @@ def replay_onboard(
         if not running and next_us * 1e-6 - session.time_s < START_AHEAD_S:
             # Also after the robot ended its run at the path's end: the recorded robot swam on.
             running = _start(session, next_us)
+        if running and changes and len(decisions) >= changes[0].decision:
+            sender.begin(changes.pop(0).path)
         next_s = waiting[0][0] if waiting else session.time_s + STEP_S
         session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
         while waiting and waiting[0][0] <= session.time_s:
             _, fix = waiting.pop(0)
             poses[session.post_fix(fix, session.time_s)] = fix.pose_world
-        for arrival in session.take("FIX", "DECISION", "REFUSED", "ENDED"):
+        for arrival in session.take("FIX", "PATH", "DECISION", "REFUSED", "ENDED"):
             frame = arrival.frame
             events += events_of_frame(frame, poses)
-            if frame.name == "FIX":
+            if frame.name == "PATH" and (changed := sender.answered(frame)) is not None:
+                events.append(RobotEvent(0, path=changed))
+            elif frame.name == "FIX":
                 del poses[frame.sequence]
             elif frame.name == "DECISION":
                 decisions.append(decision_of_event(frame.values))

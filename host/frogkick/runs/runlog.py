@@ -196,6 +196,19 @@ class Truth(_Group):
     velocity_body: Annotated[Array, Column("m/s, m/s, rad/s", "<f8", 3)]
 
 
+@dataclass(frozen=True, eq=False)
+class PathChange:
+    """A path that took over during a run.
+
+    Attributes:
+        decision: the first one that follows it; -1 in a log of a run that has not got so far.
+        path: the path.
+    """
+
+    decision: int
+    path: Path
+
+
 def _is_moment(text: str) -> bool:
     try:
         return datetime.fromisoformat(text).tzinfo is not None
@@ -215,6 +228,8 @@ class RunLog:
         table_crc: CRC-32 of the planner's table image, or None.
         seed: of the simulation, or None.
         notes: free text.
+        path: the path from the first decision on, or None.
+        then: paths that took its place, in the order of their decisions.
         measured: numbers about the run (name with unit suffix -> finite value).
         planner: the planner's weights and depth (field of PlanConfig -> finite value), where known.
         made: provenance as texts, where known: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick``
@@ -232,6 +247,7 @@ class RunLog:
     decisions: Decisions
     strokes: Strokes
     path: Path | None = None
+    then: tuple[PathChange, ...] = ()
     truth: Truth | None = None
     table_crc: int | None = None
     seed: int | None = None
@@ -264,6 +280,11 @@ class RunLog:
                 f"run: decisions/action row {wrong[0]} is {action[wrong[0]]}, the run names "
                 f"{len(self.action_names)} actions: correct the action or its UNSEEN flag"
             )
+        changed = [change.decision for change in self.then]
+        if changed != sorted(changed) or not all(-1 <= row < len(self.decisions) for row in changed):
+            raise InputError(
+                f"run: its paths change at the decisions {changed}, of {len(self.decisions)}: correct them"
+            )
         wrong = np.flatnonzero(
             (self.decisions.fix_sequence < -1) | (self.decisions.fix_sequence >= len(self.fixes))
         )
@@ -272,6 +293,12 @@ class RunLog:
                 f"run: decisions/fix_sequence row {wrong[0]} is {self.decisions.fix_sequence[wrong[0]]}, "
                 f"the run has {len(self.fixes)} fixes: correct it or give -1"
             )
+
+    @property
+    def paths(self) -> list[tuple[float, Path]]:
+        """Every path that was followed, with the time from which on, s; the first one from -inf on."""
+        first = [] if self.path is None else [(-math.inf, self.path)]
+        return first + [(float(self.decisions.time_s[change.decision]), change.path) for change in self.then]
 
     def decided(self, unseen: str = "?") -> list[str]:
         """Name of each decision's action; ``unseen`` where it is not known."""

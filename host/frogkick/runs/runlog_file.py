@@ -1,8 +1,10 @@
 """The run log's HDF5 layout.
 
 Root attributes: format, format_version, robot_id, source, period_s, pulse_s, notes, and optionally table_crc
-and seed. Groups: `fixes`, `decisions`, `strokes`, and optionally `path`, `truth` (simulated runs), `measured`
-and `planner` (numbers as attributes) and `made` (texts as datasets). Every column has the attribute `unit`.
+and seed. Groups: `fixes`, `decisions`, `strokes`, and optionally `path`, `then` (paths that took over, each
+in a group by its number, and in `decision` the first row of `decisions` that follows each), `truth`
+(simulated runs), `measured` and `planner` (numbers as attributes) and `made` (texts as datasets). Every
+column has the attribute `unit`.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file, write_bytes
 from frogkick.paths import Path
-from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes, Truth
+from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, PathChange, RunLog, Strokes, Truth
 
 FORMAT = "frogkick run"
 FORMAT_VERSION = 1
@@ -79,10 +81,12 @@ def fill(file: h5py.File, run: RunLog, chunk_rows: int = 0) -> None:
         file[f"{name}/flags"].attrs["bits"] = [f"{bit.name.lower()}={int(bit)}" for bit in flag if bit.name]
     file["decisions/action"].attrs["names"] = list(run.action_names) or h5py.Empty("S1")
     if run.path is not None:
-        group = file.create_group("path")
-        group.attrs["name"] = run.path.name
-        for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
-            group.create_dataset(name, data=getattr(run.path, name)).attrs["unit"] = unit
+        _write_path(file.create_group("path"), run.path)
+    if run.then:
+        group = file.create_group("then")
+        group.create_dataset("decision", data=np.array([change.decision for change in run.then]))
+        for number, change in enumerate(run.then):
+            _write_path(group.create_group(str(number)), change.path)
     for title, numbers in (("measured", run.measured), ("planner", run.planner)):
         if numbers:
             group = file.create_group(title)
@@ -136,10 +140,8 @@ def _read(file: h5py.File) -> RunLog:
         raise InputError(
             f"run: format version {version}, this frogkick reads {FORMAT_VERSION}: use a matching frogkick"
         )
-    path = None
-    if "path" in file:
-        group = file["path"]
-        path = Path(group["x_m"][:], group["y_m"][:], group["tangent_rad"][:], str(group.attrs["name"]))
+    path = _read_path(file["path"]) if "path" in file else None
+    changed = file["then/decision"][:].tolist() if "then" in file else []
     names = file["decisions/action"].attrs["names"]
     return RunLog(
         robot_id=str(file.attrs["robot_id"]),
@@ -151,6 +153,12 @@ def _read(file: h5py.File) -> RunLog:
         decisions=Decisions(**_read_group(file, Decisions)),
         strokes=Strokes(**_read_group(file, Strokes)),
         path=path,
+        # -1: the run that this is the log of has not got so far
+        then=tuple(
+            PathChange(decision, _read_path(file[f"then/{number}"]))
+            for number, decision in enumerate(changed)
+            if decision >= 0
+        ),
         truth=Truth(**_read_group(file, Truth)) if "truth" in file else None,
         table_crc=int(file.attrs["table_crc"]) if "table_crc" in file.attrs else None,
         seed=int(file.attrs["seed"]) if "seed" in file.attrs else None,
@@ -159,6 +167,16 @@ def _read(file: h5py.File) -> RunLog:
         planner=_numbers(file, "planner"),
         made={name: text.asstr()[()] for name, text in file["made"].items()} if "made" in file else {},
     )
+
+
+def _write_path(group: h5py.Group, path: Path) -> None:
+    group.attrs["name"] = path.name
+    for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
+        group.create_dataset(name, data=getattr(path, name)).attrs["unit"] = unit
+
+
+def _read_path(group: h5py.Group) -> Path:
+    return Path(group["x_m"][:], group["y_m"][:], group["tangent_rad"][:], str(group.attrs["name"]))
 
 
 def _numbers(file: h5py.File, title: str) -> dict[str, float]:

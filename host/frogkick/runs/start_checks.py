@@ -85,13 +85,16 @@ def look(source: FixSource, clock: Callable[[], float], wait: Callable[[float], 
     return fixes
 
 
-def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | None) -> list[str]:
+def check_start(
+    fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | None, then: Sequence[Path] = ()
+) -> list[str]:
     """Check fixes and path before a run.
 
     Args:
         fixes: of the robot at rest during ``LOOK_S``.
         path: to swim, in the fixes' frame.
         pool_m: length and width of the pool, whose origin is a corner; None: unknown.
+        then: paths that take over later.
 
     Returns:
         The results, one line each.
@@ -111,8 +114,9 @@ def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | 
             f"position fixes jump by {1e3 * apart_m.max():.0f} mm while the robot rests, "
             f"{1e3 * APART_MOST_M:.0f} are allowed: is another tag in the picture, or a hand?"
         )
-    if pool_m is not None:
-        low, high = path.points_m.min(axis=0), path.points_m.max(axis=0)
+    for swum in (path, *then) if pool_m is not None else ():
+        low, high = swum.points_m.min(axis=0), swum.points_m.max(axis=0)
+        assert pool_m is not None
         if (low < WALL_M).any() or (high > np.array(pool_m) - WALL_M).any():
             raise InputError(
                 f"the path reaches from ({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f}) m, "

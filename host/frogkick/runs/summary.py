@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
-from frogkick.runs.record import BATTERY_V, Tracking, along_path
+from frogkick.runs.record import BATTERY_V, Tracking, along_paths
 from frogkick.runs.runlog import RunLog
 
 FloatArray = NDArray[np.float64]
@@ -24,6 +24,7 @@ class Summary:
 
     Attributes:
         robot, source, path, period_s: as in ``RunLog``; the path's name.
+        then: names of the paths that took over.
         duration_s: from the first decision to the end of the last one's period.
         decisions, actions: number of decisions; action name -> how often it was chosen.
         fixes: usable fixes.
@@ -41,6 +42,7 @@ class Summary:
     robot: str
     source: str
     path: str | None
+    then: tuple[str, ...]
     duration_s: float
     decisions: int
     actions: dict[str, int]
@@ -159,13 +161,13 @@ class Bends:
 
 
 def bends_of(run: RunLog, progress_mps: float) -> Bends | None:
-    """Compare a path's bends with the robot's turns; None if the log has no path or too few poses.
+    """Compare a path's bends with the robot's turns; None if the log has no path, several, or too few poses.
 
     Args:
         run: the log.
         progress_mps: progress along the path.
     """
-    if run.path is None or len(run.decisions) < 2:
+    if run.path is None or run.then or len(run.decisions) < 2:
         return None
     at_s = run.decisions.time_s
     if run.truth is not None and len(run.truth) > 1:
@@ -195,7 +197,7 @@ def summary(run: RunLog) -> Summary:
     time_s, poses, of = track_of(run)
     distances: tuple[float | None, float | None, float | None] = (None, None, None)
     if run.path is not None:
-        distances = along_path(run.path, time_s, poses)
+        distances = along_paths(run.paths, time_s, poses)
     known = run.decisions.predicted is not None and run.truth is not None
     error = residual(run).error if known else None
     usable = run.fixes.usable
@@ -205,6 +207,7 @@ def summary(run: RunLog) -> Summary:
         robot=run.robot_id,
         source=run.source,
         path=None if run.path is None else run.path.name,
+        then=tuple(change.path.name for change in run.then),
         duration_s=float(run.decisions.time_s[-1] + run.period_s - run.decisions.time_s[0]),
         decisions=len(run.decisions),
         actions=dict(sorted(Counter(run.decided()).items())),
@@ -287,7 +290,8 @@ def compare_runs(a: RunLog, b: RunLog) -> Comparison:
     same = next((k for k, (first, second) in enumerate(both) if first != second), len(both))
     same_path = None
     if a.path is not None and b.path is not None:
-        same_path = np.array_equal(a.path.points_m, b.path.points_m)
+        points = [[path.points_m for _, path in run.paths] for run in (a, b)]
+        same_path = len(points[0]) == len(points[1]) and all(map(np.array_equal, *points))
     known = a.table_crc is not None and b.table_crc is not None
     return Comparison(
         summary(a),

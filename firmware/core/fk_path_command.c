@@ -1,0 +1,59 @@
+/* PATH: the path to follow, in parts. One that comes during a run is collected beside the followed one, which it leaves as it
+ * is until the whole has come: fk_robot_use_coming.
+ */
+#include "fk_robot_state.h"
+
+static int32_t is_finite_within(float value, float least, float most) { return value >= least && value <= most; }
+
+static int8_t take_path(fk_path_t *path, uint8_t *points, uint8_t *total, const uint8_t *payload, uint32_t length)
+{
+    fk_path_command_t command;
+    fk_path_command_unpack(payload, &command);
+    if (command.count < 1u || command.count > FK_PATH_ROWS_MAX ||
+        length != FK_PATH_COMMAND_BYTES + command.count * FK_PATH_ROW_BYTES) {
+        return FK_STATUS_LENGTH;
+    }
+    /* A first part starts over; a later one must continue where the last one ended. */
+    uint32_t last = (uint32_t)command.first + command.count;
+    if (command.total < 2u || command.total > FK_PATH_POINTS_MAX || last > command.total ||
+        (command.first != 0u && (command.first != *points || command.total != *total))) {
+        return FK_STATUS_VALUE;
+    }
+    for (uint32_t i = 0u; i < command.count; ++i) {
+        fk_path_row_t row;
+        fk_path_row_unpack(payload + FK_PATH_COMMAND_BYTES + i * FK_PATH_ROW_BYTES, &row);
+        if (!is_finite_within(row.x_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
+            !is_finite_within(row.y_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
+            !is_finite_within(row.tangent_rad, -4.0f, 4.0f)) {
+            /* Rows before this one have taken the earlier ones' place: now there is no path here. */
+            *points = 0u;
+            *total = 0u;
+            path->count = 0u;
+            return FK_STATUS_VALUE;
+        }
+        path->x_m[command.first + i] = row.x_m;
+        path->y_m[command.first + i] = row.y_m;
+        path->tangent_rad[command.first + i] = row.tangent_rad;
+    }
+    *total = command.total;
+    *points = (uint8_t)last;
+    path->count = (*points == *total) ? *total : 0u;
+    return FK_STATUS_OK;
+}
+
+int32_t fk_robot_path_command(fk_robot_t *robot, const uint8_t *payload, uint32_t length, uint8_t *answer)
+{
+    fk_path_answer_t told;
+    told.status = fk_robot_may(robot, FK_EVENT_PATH);
+    if (robot->state == FK_STATE_RUNNING) {
+        told.status = take_path(&robot->coming, &robot->coming_points, &robot->coming_total, payload, length);
+        told.received = robot->coming_points;
+    } else {
+        if (told.status == FK_STATUS_OK) {
+            told.status = take_path(&robot->path, &robot->path_points, &robot->path_total, payload, length);
+        }
+        told.received = robot->path_points;
+    }
+    fk_path_answer_pack(answer, &told);
+    return (int32_t)FK_PATH_ANSWER_BYTES;
+}

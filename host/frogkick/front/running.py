@@ -74,7 +74,7 @@ class Run(RunLog):
     """One closed-loop run: its log, how well the path was followed, and what can be done with it.
 
     Attributes:
-        robot_id, source, fixes, decisions, strokes, path, truth, measured, planner, made: see ``RunLog``.
+        robot_id, source, fixes, decisions, strokes, path, then, truth, measured, planner, made: the log's.
         tracked: ``tracking`` as measured during the run; None: it is computed from the log.
         checked: number of decisions that agreed, if robot and host both decided.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -205,3 +206,25 @@ def test_angles_beyond_the_range_are_nan() -> None:
     for angle in (2100.1, -2100.1, np.inf, -np.inf, np.nan):
         assert np.isnan(floats.wrap_angle(np.float32(angle)))
         assert np.isnan(floats.sincos(np.float32(angle))).all()
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.4, 0.8])
+def test_a_branch_costs_how_far_beside_the_path_its_end_glides(lead: float) -> None:
+    """One action beside a straight path along x: the cost rises by the Huber loss of where it glides to."""
+    tables = open_image(synthetic.image(60, 1, 2))
+    along = np.linspace(0.0, 1.0, 21).astype(np.float32)
+    path = synthetic.WavePath(along, np.zeros_like(along), np.zeros_like(along))
+    rng, soft_m, weight, losses = np.random.default_rng(5), 0.02, 300.0, []
+    for _ in range(count(40, 400)):
+        state = rng.uniform([0.3, -0.04, -3.1, 0, -0.03, -0.5], [0.5, 0.04, 3.1, 0.04, 0.03, 0.5])
+        base = PlanConfig(1000.0, 100.0, 0.0, 0.0, 500.0, 0.1, soft_m, cost=kernel.COST_ROUTE)
+        glides = dataclasses.replace(base, glide_weight_per_m=weight, glide_lead=lead)
+        start = round(20 * float(state[0]))
+        before, after = (plan(tables, path, each, state, along_points=start) for each in (base, glides))
+        x_m, y_m, heading = before.predicted[:3].astype(float)
+        turn = math.remainder(heading - float(np.float32(state[2])), 2 * math.pi)
+        beside_m = abs(y_m + lead * ((y_m - state[1]) + turn * (x_m - state[0])))
+        loss = beside_m**2 / (2 * soft_m) if beside_m < soft_m else beside_m - soft_m / 2
+        assert float(after.cost) - float(before.cost) == pytest.approx(weight * loss, abs=2e-3)
+        losses.append(loss)
+    assert min(losses) < soft_m / 4 < max(losses)

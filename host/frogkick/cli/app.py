@@ -26,7 +26,7 @@ STUDY_COMMANDS = {
     "twin": ("study", "Compare both planners on the twin of a worn robot."),
     "ceiling": ("study", "Compare one planner with tables, rods or the pool as model."),
     "foresight": ("study", "Compute the offline bound: how near a path any plan stays."),
-    "weights": ("study", "Tune the planner's weights on random paths and judge them on others."),
+    "weights": ("study", "Tune the planner's weights on random paths, by its table."),
     "verdicts": ("study", "Put synthetic effects in pools and identify them from logs."),
     "wake": ("study", "Predict the speed over phase offset by the strokes' wakes."),
     "water": ("study", "Judge theory's added mass and inertia by swims and recorded runs."),

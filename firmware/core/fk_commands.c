@@ -1,12 +1,10 @@
 /* The commands of the link, one function each; fk_robot_command finds it. Each writes its answer's payload. */
 #include "fk_robot_state.h"
 
-static int32_t is_finite_within(float value, float least, float most) { return value >= least && value <= most; }
-
 /* most < 2^24, so that both limits and every number between them are exact as float. */
 static int32_t is_whole_within(float value, uint32_t least, uint32_t most)
 {
-    return is_finite_within(value, (float)least, (float)most) && (float)(uint32_t)value == value;
+    return fk_is_finite_within(value, (float)least, (float)most) && (float)(uint32_t)value == value;
 }
 
 static int32_t answer_state(const fk_robot_t *robot, int8_t status, uint8_t *answer)
@@ -163,7 +161,7 @@ static int8_t set_weight(fk_plan_config_t *plan, uint8_t parameter, float value)
     static const float most[sizeof(ids)] = {FK_PLAN_WEIGHTS(MOST)};
     float *const weights[sizeof(ids)] = {FK_PLAN_WEIGHTS(PLACE)};
     for (uint32_t i = 0u; i < sizeof(ids); ++i) {
-        if (ids[i] == parameter && is_finite_within(value, least[i], most[i])) {
+        if (ids[i] == parameter && fk_is_finite_within(value, least[i], most[i])) {
             *weights[i] = value + 0.0f; /* -0.0, which fk_plan() refuses, becomes 0 */
             return FK_STATUS_OK;
         }

@@ -3,8 +3,6 @@
  */
 #include "fk_robot_state.h"
 
-static int32_t is_finite_within(float value, float least, float most) { return value >= least && value <= most; }
-
 static int8_t take_path(fk_path_t *path, uint8_t *points, uint8_t *total, const uint8_t *payload, uint32_t length)
 {
     fk_path_command_t command;
@@ -22,9 +20,9 @@ static int8_t take_path(fk_path_t *path, uint8_t *points, uint8_t *total, const 
     for (uint32_t i = 0u; i < command.count; ++i) {
         fk_path_row_t row;
         fk_path_row_unpack(payload + FK_PATH_COMMAND_BYTES + i * FK_PATH_ROW_BYTES, &row);
-        if (!is_finite_within(row.x_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
-            !is_finite_within(row.y_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
-            !is_finite_within(row.tangent_rad, -4.0f, 4.0f)) {
+        if (!fk_is_finite_within(row.x_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
+            !fk_is_finite_within(row.y_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
+            !fk_is_finite_within(row.tangent_rad, -4.0f, 4.0f)) {
             /* Rows before this one have taken the earlier ones' place: now there is no path here. */
             *points = 0u;
             *total = 0u;

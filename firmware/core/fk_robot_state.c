@@ -39,6 +39,8 @@ void fk_robot_use_coming(fk_robot_t *robot)
     robot->coming_total = 0u;
 }
 
+int32_t fk_is_finite_within(float value, float least, float most) { return value >= least && value <= most; }
+
 int8_t fk_robot_may(const fk_robot_t *robot, uint8_t event) { return fk_supervisor_rule(robot->state, event).status; }
 
 int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)

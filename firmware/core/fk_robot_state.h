@@ -118,6 +118,7 @@ int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event);
 void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
 void fk_robot_use_coming(fk_robot_t *robot);
+int32_t fk_is_finite_within(float value, float least, float most);
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);
 
 /* fk_robot_watch.c */

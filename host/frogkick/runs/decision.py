@@ -224,7 +224,7 @@ class DecisionTwin:
         if learn:
             own.track.learn(ON)
         self._track = own.track
-        self._estimator: Estimates = estimator or own
+        self._estimator: Estimates = own if estimator is None else estimator
         self._resting_action = resting_action_of(tables)
         self._follow = Follow(tables, path, config)
         self.ended: End | None = None

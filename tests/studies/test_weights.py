@@ -57,6 +57,8 @@ def test_the_score_prefers_near_runs_but_never_slow_ones() -> None:
         == 0
     )
     assert score([dataclasses.replace(each, completed=0.5) for each in nearer], before) > 0
+    lost = [before[0], Swum(0.08, 0.005, 0.0)]
+    assert score([before[0], dataclasses.replace(lost[1], progress_mps=0.001)], lost) == 0.0
 
 
 def test_what_is_found_is_the_best_that_was_tried() -> None:

@@ -23,7 +23,7 @@ from frogkick.front.places import plan_config, robot_of_table, start_pose, table
 from frogkick.paths import Path, from_waypoints, shape
 from frogkick.planner.plan import Cost, PlanConfig, plan_batch
 from frogkick.tables.image import Tables, read_image
-from frogkick.tables.layout import LIMBS_MAX
+from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
 from frogkick_studies import Found
 from frogkick_studies.configs import Weights
 
@@ -44,8 +44,10 @@ JUDGED = ("ellipse", "bends", "eight", "circle")
 DECISIONS_MOST = 80
 NOISE = 0.01
 """Of each decision: of the longest stroke (position), in radians, and twice as much of its mean speed."""
-_LOST_PROGRESS = 20.0  # what one part of progress weighs against one part of distance
+_LOST_PROGRESS = 10.0  # what one part of progress weighs against one part of distance
 _UNFINISHED = 5.0
+_SHARE_WORN = 0.5  # what the score of worn limbs counts beside that of the healthy robot
+_WORN = 0.7  # share of its contribution that a worn limb has lost
 
 
 @dataclass(frozen=True)
@@ -128,25 +130,22 @@ def swim(tables: Tables, path: Path, config: PlanConfig, runs: int, seed: int) -
 def score(swum: Sequence[Swum], before: Sequence[Swum]) -> float:
     """Return how much worse runs are than those before: 0 where alike, below 0 where they are nearer.
 
-    Distances count by their ratio, half by that of their mean and half path by path. Lost progress and runs
-    that do not come to the end count more than any distance gains; gained progress counts nothing.
+    Distances count by their ratio, half by that of their mean and half path by path. Lost progress on the
+    paths that were swum to their end before, and runs that no longer come to the end, count more than any
+    distance gains; gained progress counts nothing.
     """
-    ratio = [
-        np.log(max(a.distance_m, 1e-6) / max(b.distance_m, 1e-6)) for a, b in zip(swum, before, strict=True)
-    ]
-    mean = np.log(max(_mean_m(swum), 1e-6) / max(_mean_m(before), 1e-6))
-    faster = np.mean(
-        [
-            np.log(max(a.progress_mps, 1e-6) / max(b.progress_mps, 1e-6))
-            for a, b in zip(swum, before, strict=True)
-        ]
+    distance, progress, completed = (
+        np.array([[getattr(run, name) for run in runs] for runs in (swum, before)])
+        for name in ("distance_m", "progress_mps", "completed")
     )
-    lost = np.mean([max(0.0, b.completed - a.completed) for a, b in zip(swum, before, strict=True)])
-    return float(0.5 * (mean + np.mean(ratio)) + _LOST_PROGRESS * max(0.0, -faster) + _UNFINISHED * lost)
-
-
-def _mean_m(swum: Sequence[Swum]) -> float:
-    return float(np.mean([each.distance_m for each in swum]))
+    near = np.maximum(distance, 1e-6)
+    mean_m = near.mean(axis=1)
+    ratio = 0.5 * (np.log(mean_m[0] / mean_m[1]) + np.log(near[0] / near[1]).mean())
+    lost = np.zeros(1)
+    if (whole := completed[1] == 1.0).any():
+        lost = -np.log(np.maximum(progress[0, whole], 1e-6) / np.maximum(progress[1, whole], 1e-6))
+    unfinished = np.maximum(0.0, completed[1] - completed[0]).mean()
+    return float(ratio + _LOST_PROGRESS * max(0.0, lost.mean()) + _UNFINISHED * unfinished)
 
 
 def tune(
@@ -231,10 +230,22 @@ def run(config: Weights) -> WeightsTuned:
         f"random {k}": random_path(rng, stroke_m, bend) for k, bend in enumerate(2 * BENDS_RAD)
     }
 
-    def runs(paths: dict[str, Path], weights: PlanConfig) -> dict[str, Swum]:
-        return {name: swim(tables, path, weights, config.runs, config.seed) for name, path in paths.items()}
+    curved = {name: path for name, path in training.items() if not name.startswith("random")}
+    worn = [
+        tables.worn(np.where(np.arange(tables.limbs) == limb, round(_WORN * LOST_MAX), 0))
+        for limb in range(tables.limbs if tables.limb_wear.size else 0)
+    ]
 
-    before = list(runs(training, planner).values())
+    def runs(paths: dict[str, Path], weights: PlanConfig, of: Tables = tables) -> dict[str, Swum]:
+        return {name: swim(of, path, weights, config.runs, config.seed) for name, path in paths.items()}
+
+    def trial(weights: PlanConfig) -> tuple[list[Swum], list[Swum]]:
+        """Runs of the healthy robot, and of one after the other limb worn, as it has learned."""
+        return list(runs(training, weights).values()), [
+            swum for limb in worn for swum in runs(curved, weights, limb).values()
+        ]
+
+    before = trial(planner)
     start = planner
     if planner.glide_weight_per_m == 0.0:
         start = dataclasses.replace(
@@ -242,7 +253,11 @@ def run(config: Weights) -> WeightsTuned:
         )
     with shown(True, "weights tried") as tell:
         found = tune(
-            lambda weights: score(list(runs(training, weights).values()), before),
+            lambda weights: sum(
+                share * score(after, first)
+                for share, after, first in zip((1.0, _SHARE_WORN), trial(weights), before, strict=True)
+                if first
+            ),
             start, config.trials, rng, tell,
         )  # fmt: skip
     weights: dict[str, Any] = {name: float(f"{getattr(found, name):.3g}") for name in TUNED}

@@ -226,11 +226,12 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
     if search.settings.cost == COST_ROUTE:
         here, before = search.poses[depth], search.poses[depth - 1]
         knot, place = search.knot[depth], search.place[depth]
-        cost = cost + route.glide_cost(
+        glides = route.glide_cost(
             search.settings, search.knots, search.step, knot, place, here, before, search.motion[2]
         )
         if search.settings.wall_weight_per_m > _F0:
-            cost = cost + route.wall_cost(search.settings, here, before)
+            glides = glides + route.wall_cost(search.settings, here, before)
+        cost = cost + glides
     if not is_pruned(search, first, cost):
         search.best_cost[0] = cost
         search.best[0] = first

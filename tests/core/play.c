@@ -44,7 +44,6 @@ static uint32_t is_again; /* what the robot hears now it has heard before: its a
 static fk_frame_collector_t collector;
 static fk_guard_persistent_t kept; /* RAM that a reset leaves alone */
 static const fk_guard_persistent_t cold = {{0u}, 0x190a55adu ^ 0x64726147u}; /* the first: CRC-32 of 32 zeros */
-static fk_wear_persistent_t learned; /* likewise */
 static fk_log_t history;     /* likewise */
 
 static uint64_t draw(void)
@@ -179,7 +178,6 @@ static void start_robot(uint64_t clock)
     collector.length = 0u;
     (void)fk_robot_init(&robot, image, image_bytes);
     fk_robot_note_reset(&robot, FK_RESET_UNKNOWN, &kept);
-    fk_robot_use_learned(&robot, &learned);
     fk_robot_use_log(&robot, &history);
     tick();
 }
@@ -410,7 +408,6 @@ static void one_sequence(uint32_t commands)
     on_mask = 0u;
     see(world_us, SEEN_POWER_ON, 0);
     kept = cold;
-    learned.learn = FK_LEARN_OFF;
     kept.crc ^= (below(4u) == 0u) ? (uint32_t)draw() | 1u : 0u; /* RAM as the supply finds it */
     start_robot(clocks_us[below(5u)]);
     if (below(4u) != 0u) {

@@ -21,6 +21,7 @@ static fk_frame_collector_t collector;
 static fk_flash_t flash;
 static fk_store_t store;
 static fk_guard_persistent_t persistent __attribute__((section(".noinit")));
+static fk_wear_persistent_t learned __attribute__((section(".noinit")));
 static fk_log_t history __attribute__((section(".noinit")));
 
 typedef enum { NOTHING, BYTES, FRAME } taken_t;
@@ -97,6 +98,7 @@ int main(void)
         (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
     }
     fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &persistent);
+    fk_robot_use_learned(&robot, &learned);
     fk_robot_use_log(&robot, &history);
 
     for (;;) {

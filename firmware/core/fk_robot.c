@@ -35,6 +35,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->heat_unknown = 1u;
     robot->supply = FK_SUPPLY_OK;
     robot->persistent = 0;
+    robot->learned = 0;
     robot->store = 0;
     robot->log = 0;
     robot->log_mark = 0u;
@@ -95,6 +96,12 @@ void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t
     robot->persistent = persistent;
     robot->heat_unknown = (fk_guard_resume(&robot->guard, persistent) == 0) ? 1u : 0u;
     fk_guard_keep(&robot->guard, persistent);
+}
+
+void fk_robot_use_learned(fk_robot_t *robot, fk_wear_persistent_t *learned)
+{
+    robot->learned = learned;
+    (void)fk_wear_resume(&robot->estimator.track.wear, &robot->tables, learned);
 }
 
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = store; }
@@ -224,6 +231,14 @@ static void keep_books(fk_robot_t *robot, int32_t are_sound)
     }
 }
 
+/* Each tick, as fixes, decisions and commands change what is known, each of which a tick follows. */
+static void keep_learned(fk_robot_t *robot)
+{
+    if (robot->learned != 0) {
+        fk_wear_keep(&robot->estimator.track.wear, &robot->tables, robot->learned);
+    }
+}
+
 static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
 {
     int32_t allowed = 0;
@@ -341,6 +356,8 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
         fk_robot_send_events(robot);
         decide(robot);
     }
+
+    keep_learned(robot);
 
     /* A decision waits for a stroke that is under way; it is for its own time whenever it is made. */
     if (robot->all_off != 0u) {

@@ -20,6 +20,7 @@
 #include "fk_log.h"
 #include "fk_store.h"
 #include "fk_supervisor.h"
+#include "fk_wear_keep.h"
 
 #define FK_TX_BYTES 768u            /* room for answers and events that the port has not yet taken */
 
@@ -48,6 +49,12 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
  *               be, over resets. Where it does not, they count as fully heated at time 0, as they do without this call
  */
 void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t *persistent);
+
+/* Keep what is learned of the limbs, and go on from it where it is whole and of the table in use. After fk_robot_note_reset and
+ * before fk_robot_use_log.
+ * @param learned  RAM that no start-up clears, for the robot to use as long as it lives; without this call a reset forgets
+ */
+void fk_robot_use_learned(fk_robot_t *robot, fk_wear_persistent_t *learned);
 
 /* Take tables by radio. The store has booted, and fk_robot_init was given its image. */
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store);

@@ -37,6 +37,7 @@ struct fk_robot {
     fk_guard_t guard;
 
     fk_guard_persistent_t *persistent; /* 0: none */
+    fk_wear_persistent_t *learned;     /* 0: none */
     fk_store_t *store;     /* 0: no tables by radio */
     fk_duplicates_t duplicates;
     fk_auth_t auth;

@@ -38,6 +38,8 @@ void fk_track_learn(fk_track_t *track, uint8_t learn)
     if (learn == FK_LEARN_OFF && track->wear.learn != FK_LEARN_OFF) {
         fk_wear_init(&track->wear, track->tables, learn);
         track->teaches = 0u; /* the period under way was predicted with what is forgotten */
+    } else if (learn == FK_LEARN_HELD) {
+        fk_wear_restart(&track->wear);
     }
     track->wear.learn = learn;
 }

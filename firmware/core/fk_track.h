@@ -47,7 +47,7 @@ typedef struct {
 /* tables must outlive the track. learn: FK_LEARN_... */
 void fk_track_init(fk_track_t *track, fk_tables_t *tables, uint8_t learn);
 
-/* Learn what limbs have lost, or not any more. learn: FK_LEARN_..., of which OFF forgets it. */
+/* Learn what limbs have lost, or not any more. learn: FK_LEARN_..., of which OFF forgets it, and HELD all but the shares. */
 void fk_track_learn(fk_track_t *track, uint8_t learn);
 
 /* Nothing is known any more, but the process noise and what limbs have lost. */

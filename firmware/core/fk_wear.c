@@ -11,6 +11,8 @@
                                      the line to its place */
 #define FK_WEAR_LEAST 0.02f       /* shares that are believed; above one a curve's end is meant */
 #define FK_WEAR_MOST 1.3f
+#define FK_WEAR_RESTARTED 18.0f   /* what a share explains of which nothing else is known any more: twice the penalty, so that
+                                     it fades within 16 periods that tell nothing of its limb */
 #define FK_WEAR_APART 1e-3f       /* part of an unknown's information that the others must leave for it to be told apart */
 
 /* What a period misses where all is known, of each axis: 1.2 mm, 1.2 mm, 0.02 rad. */
@@ -40,7 +42,9 @@ void fk_wear_use(fk_wear_t *wear, fk_tables_t *tables)
     }
 }
 
-void fk_wear_init(fk_wear_t *wear, fk_tables_t *tables, uint8_t learn)
+static float lost_share(uint32_t lost) { return (float)lost / (float)FK_LOST_MAX; }
+
+void fk_wear_restart(fk_wear_t *wear)
 {
     for (uint32_t i = 0u; i < FK_WEAR_SUMS; ++i) {
         wear->information[i] = 0.0f;
@@ -52,8 +56,22 @@ void fk_wear_init(fk_wear_t *wear, fk_tables_t *tables, uint8_t learn)
         wear->current[i] = 0.0f;
     }
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        if (wear->lost[limb] > 0u) {
+            const uint32_t at = 3u + limb;
+            const float share = lost_share(wear->lost[limb]);
+            const float information = FK_WEAR_RESTARTED / (share * share);
+            wear->information[at * (at + 3u) / 2u] = information;
+            wear->vector[at] = information * share;
+        }
+    }
+}
+
+void fk_wear_init(fk_wear_t *wear, fk_tables_t *tables, uint8_t learn)
+{
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
         wear->lost[limb] = 0u;
     }
+    fk_wear_restart(wear);
     wear->learn = (tables->wear_knots > 0u) ? learn : (uint8_t)FK_LEARN_OFF;
     fk_wear_use(wear, tables);
 }
@@ -67,8 +85,6 @@ static void curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, float
         motion[axis] = (float)codes[axis] * tables->motion_scale[axis];
     }
 }
-
-static float lost_share(uint32_t lost) { return (float)lost / (float)FK_LOST_MAX; }
 
 /* missed becomes what a robot with no worn limb and no current would have missed; row[axis][unknown]. */
 static void rows_of(const fk_wear_t *wear, const fk_tables_t *tables, const fk_wear_period_t *period, float missed[3],

@@ -42,6 +42,10 @@ typedef struct {
 /* Nothing was learned yet. learn: FK_LEARN_... Tables without wear curves are never learned with. */
 void fk_wear_init(fk_wear_t *wear, fk_tables_t *tables, uint8_t learn);
 
+/* Of what was learned only the shares remain, each known to a quarter of itself (one standard deviation), and no current.
+ * What periods told of them is dropped: nobody knows how long ago that was. */
+void fk_wear_restart(fk_wear_t *wear);
+
 /* Learn from a period, and have the tables tell what these limbs do. */
 void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t *period);
 

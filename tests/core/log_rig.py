@@ -46,10 +46,13 @@ def content_of(number: int, length: int) -> bytes:
     return number.to_bytes(7, "little") + random.Random(number).randbytes(length)
 
 
-def robot_with_log(now_us: int = 1_000_000, made: Any = None) -> tuple[Robot, Log]:
+def robot_with_log(now_us: int = 1_000_000, made: Any = None, learned: Any = None) -> tuple[Robot, Log]:
+    """learned: RAM that keeps what it learns of its limbs over a reset; None: it has none."""
     robot, log = Robot(now_us=now_us, made=made), Log()
     log.memory.magic = 0  # as found
     robot._log = log  # lives as long
+    if learned is not None:
+        robot.core.fk_robot_use_learned(robot.memory, learned)
     robot.core.fk_robot_use_log(robot.memory, log.memory)
     return robot, log
 

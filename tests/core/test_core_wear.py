@@ -34,10 +34,15 @@ def test_the_twin_counts_as_the_link_does() -> None:
     assert link_layout().learn == {"OFF": OFF, "ON": ON, "HELD": HELD}
 
 
-def worn(seed: int, periods: int) -> Robot:
-    """A robot that learns what its limbs have lost from strokes by command, and then decides."""
+def worn(seed: int, periods: int, learned: Any = None) -> Robot:
+    """A robot that learns what its limbs have lost from strokes by command, and then decides.
+
+    Args:
+        seed, periods: of its strokes.
+        learned: RAM that keeps it over a reset; what it holds is gone on from.
+    """
     given = swim(seed, periods, kick=0.1, name="worn", lost=[[0, 0, 0, 0], [0, 20_000, 0, 32_767]])
-    robot, dice = robot_with_log()[0], random.Random(seed)
+    robot, dice = robot_with_log(learned=learned)[0], random.Random(seed)
     fixes = [(time_us + dice.randint(1, 90_000), 0, (time_us, pose)) for time_us, pose in given.fixes]
     strokes = [(start_us, 1, action) for start_us, action in zip(given.starts_us, given.actions, strict=True)]
     robot.tick()

@@ -22,6 +22,7 @@ static fk_frame_collector_t collector;
 static fk_flash_t flash;
 static fk_store_t store;
 static __noinit fk_guard_persistent_t persistent;
+static __noinit fk_wear_persistent_t learned;
 static __noinit fk_log_t history;
 static K_SEM_DEFINE(wake, 0, 1);
 
@@ -139,6 +140,7 @@ static void boot_robot(uint8_t reset)
         (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
     }
     fk_robot_note_reset(&robot, reset, &persistent);
+    fk_robot_use_learned(&robot, &learned);
     fk_robot_use_log(&robot, &history);
 }
 

@@ -61,7 +61,11 @@ def run(
     depth: DepthOption = None,
     learn: Annotated[
         bool,
-        typer.Option("--learn", help="Learn while swimming what each limb has lost, and plan with it."),
+        typer.Option(
+            "--learn",
+            help="Learn while swimming what each limb has lost, and plan with it. A robot goes on from what "
+            "it knows; a run without --learn makes it forget.",
+        ),
     ] = False,
     inside: Annotated[
         str | None,

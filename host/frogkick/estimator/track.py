@@ -17,6 +17,7 @@ Autom. Control 15(2) (process noise from innovations).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +26,7 @@ import numpy.typing as npt
 
 from frogkick.core.compiled import kept, stamp_of
 from frogkick.estimator.profile import Profile, profile_after, profile_within, weighted
-from frogkick.estimator.wear import HELD, OFF, WearFilter
+from frogkick.estimator.wear import HELD, OFF, ON, WearFilter
 from frogkick.planner import floats
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.tables.image import Tables
@@ -135,14 +136,26 @@ class Track:
         self.process_noise = np.minimum(_INFLATION * self.process_noise, _PROCESS_NOISE_MOST)
 
     def learn(self, learn: int) -> None:
-        """Set whether the limbs' wear is estimated: ON, HELD or OFF of ``wear``. OFF forgets the estimate."""
+        """Set whether the limbs' wear is estimated: ON, HELD or OFF of ``wear``.
+
+        OFF forgets the estimate. HELD keeps the shares alone, which ON starts again from.
+        """
         if learn != OFF:
             self.wear = self.wear or WearFilter(self._original)
             self.wear.held = learn == HELD
+            if self.wear.held:
+                self.wear.restart(self.wear.codes.tolist())
         elif self.wear is not None:
             self._teaches = False  # the current period was predicted with the wear that is forgotten
             self.wear = None
             self._use(self._original)
+
+    def resume(self, codes: Sequence[int]) -> None:
+        """Learn from shares on that a robot has kept: (l,) or more, 0 to 32767."""
+        self.learn(ON)
+        assert self.wear is not None
+        self.wear.restart(codes[: self._original.limbs])
+        self._use(self.wear.tables)
 
     def forget(self) -> None:
         """Forget all states; keep the process noise and what the limbs have lost."""

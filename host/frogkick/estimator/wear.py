@@ -38,6 +38,7 @@ _FADING, _OUTLIER_FADING = _F(0.96), _F(0.3)
 _PENALTY, _OUTLIER, _ERROR_MOST = _F(9), _F(30), _F(1e6)
 _SECANT = 22937
 _LEAST, _MOST, _APART = _F(0.02), _F(1.3), _F(1e-3)
+_RESTARTED = _F(18)  # twice the penalty: it fades within 16 periods that tell nothing of the limb
 
 
 class WearFilter:
@@ -62,15 +63,28 @@ class WearFilter:
             raise InputError(
                 "the table holds no wear curves to learn by: build it again, or do without learn"
             )
-        unknowns = 3 + tables.limbs
         masks = [row.first_mask | row.second_mask for row in tables.actions]
         self._fires = [[limb for limb in range(tables.limbs) if mask >> limb & 1] for mask in masks]
         self._original = tables
+        self.held = False
+        self.restart([0] * tables.limbs)
+
+    def restart(self, codes: Sequence[int]) -> None:
+        """Start from shares, each with a standard deviation of a quarter of it, and no current.
+
+        Args:
+            codes: (l,), see the attribute.
+        """
+        unknowns = 3 + self._original.limbs
         self._information = np.zeros((unknowns, unknowns), dtype=np.float32)
         self._vector = np.zeros(unknowns, dtype=np.float32)
-        self.codes = np.zeros(tables.limbs, dtype=np.int64)
+        self.codes = np.array(codes, dtype=np.int64)
         self.current = np.zeros(3, dtype=np.float32)
-        self.held = False
+        for limb in np.flatnonzero(self.codes):
+            share = _F(self.codes[limb]) / _F(LOST_MAX)
+            information = _RESTARTED / (share * share)
+            self._information[3 + limb, 3 + limb] = information
+            self._vector[3 + limb] = information * share
 
     def restore(self, sums: Float32, vector: Float32, current: Float32, codes: Sequence[int]) -> None:
         """Restore the state of a robot's snapshot, of n = l + 3 unknowns.

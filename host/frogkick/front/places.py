@@ -119,7 +119,11 @@ def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Firmware
 
 @contextmanager
 def simulated_robot(
-    name: str, tables: Path, robot: Robot, meanwhile: Callable[[], None] = lambda: None
+    name: str,
+    tables: Path,
+    robot: Robot,
+    meanwhile: Callable[[], None] = lambda: None,
+    learned: bytes = b"",
 ) -> Iterator[RobotPort]:
     """Return a simulated robot: "virtual" (image on the virtual chip) or "pool" (core on this computer).
 
@@ -128,6 +132,7 @@ def simulated_robot(
         tables: its table image.
         robot: the robot of the table.
         meanwhile: called while the compiler runs in another process, so that a second core is used.
+        learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
 
     Raises:
         InputError: an unknown name.
@@ -142,9 +147,9 @@ def simulated_robot(
         if name == "virtual":
             from frogkick.pool.virtual_robot import VirtualRobot
 
-            yield VirtualRobot(built.image, len(robot.limbs))
+            yield VirtualRobot(built.image, len(robot.limbs), learned=learned)
         else:
-            yield NativeRobot(built.image, len(robot.limbs))
+            yield NativeRobot(built.image, len(robot.limbs), learned=learned)
 
 
 PLANNERS = ("robot", "paper")

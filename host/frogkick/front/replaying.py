@@ -28,10 +28,12 @@ from frogkick.front.robots import require_target, session_at
 from frogkick.front.running import Run, run_of
 from frogkick.front.tables import Table, load_table
 from frogkick.link.log import fetch_log as fetch_bytes
+from frogkick.pool.native_robot import kept_wear
 from frogkick.robot import Robot, in_a_row
 from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.runs.chip_log_replay import LogReplay
 from frogkick.runs.chip_log_replay import replay_log as replay_records
+from frogkick.runs.record import lost_at_start
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run
 from frogkick.runs.session import Session
@@ -130,7 +132,8 @@ def replay(
         port = None
         if plan != "host":
             image = stack.enter_context(used.file())
-            port = stack.enter_context(simulated_robot(robot, image, described))
+            learned = kept_wear(used.tables.crc32, lost_at_start(recorded))
+            port = stack.enter_context(simulated_robot(robot, image, described, learned=learned))
         tell = stack.enter_context(shown(progress, "decisions"))
         result = replay_run(recorded, used.tables, config, port, plan != "onboard", tell)
     return Replayed(result, config.depth)

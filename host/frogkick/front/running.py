@@ -275,7 +275,8 @@ def run(
         plan: who decides: "onboard" (the robot), "host", or "both" (the robot while the host checks it).
         planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
         depth: periods to look ahead, 1 to 4; None: the planner's own.
-        learn: whoever decides learns what each limb has lost, and plans with it.
+        learn: whoever decides learns what each limb has lost, and plans with it. A robot goes on from what it
+            knows; a run without it makes it forget.
         inside: walls to keep from: x, y, x, y of opposite corners, m, or "pool": the calibration's.
         then: paths that take over without a stop: "ellipse@20" or ("ellipse", 20.0) at 20 s after the first
             decision; "ellipse@20@here", ("ellipse", 20.0, "here"): it begins where the robot then is.

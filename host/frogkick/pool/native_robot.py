@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,17 @@ _BOOT_S, _BOOT_S_PER_BYTE = 1e-3, 0.4e-6  # the second is for the check of the t
 _BESIDE = 64  # guard bytes before and after the core's memory
 _BESIDE_BYTE = 0xC5
 _CLEARED = 2  # number of the core's structures that the start-up clears; the others are in .noinit
+
+
+def kept_wear(table_crc: int, lost: Sequence[int]) -> bytes:
+    """RAM that survives resets (``fk_wear_persistent_t``) of a robot that learns what its limbs have lost.
+
+    Args:
+        table_crc: of its table.
+        lost: share that each limb has lost, 0 to 32767, as in ``Decision``.
+    """
+    content = struct.pack("<10I", link_layout().learn["ON"], table_crc, *lost, *[0] * (8 - len(lost)))
+    return content + struct.pack("<I", zlib.crc32(content))
 
 
 @dataclass(frozen=True)
@@ -66,6 +78,7 @@ class NativeRobot:
         keep_calls: bool = False,
         heat_known: bool = True,
         flash: bytes | None = None,
+        learned: bytes = b"",
     ) -> None:
         """Load the library and start the core.
 
@@ -75,6 +88,7 @@ class NativeRobot:
             keep_calls: fill ``calls``.
             heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
                 lets them rest first.
+            learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
 
         Raises:
             InputError: the flash is of another size.
@@ -89,6 +103,7 @@ class NativeRobot:
         self._outputs = self._ffi.new("fk_outputs_t *")
         self._buffer = self._ffi.new("uint8_t[]", 1024)
         self._kept = self._ram("fk_guard_persistent_t")
+        self._learned = self._ram("fk_wear_persistent_t")
         self._built_in = (self._core.fk_table_image, int(self._core.fk_table_image_bytes))
         slot_bytes = max(SLOT_BYTES_MIN, -(-self._built_in[1] // PAGE_BYTES) * PAGE_BYTES)
         self._words = self._ffi.new("uint32_t[]", (JOURNAL_BYTES + SLOTS * slot_bytes) // 4)
@@ -108,6 +123,7 @@ class NativeRobot:
         self._lose_ram()
         if heat_known:
             self._ffi.memmove(self._kept, COLD_LIMBS, len(COLD_LIMBS))
+        self._ffi.memmove(self._learned, learned, len(learned))
         self._boot("POWER")
         self._limbs = limbs
         self._sent = 0
@@ -281,6 +297,7 @@ class NativeRobot:
         if error:
             raise FrogkickError(f"the core refuses its table (fk_error_t {error}): build it again")
         core.fk_robot_note_reset(self._memory, link_layout().reset[reset], self._kept)
+        core.fk_robot_use_learned(self._memory, self._learned)
         core.fk_robot_use_log(self._memory, self._log)
         if idle_us:
             self.turn(0, b"")

@@ -21,7 +21,14 @@ class VirtualRobot:
         chip: the virtual chip, for measurements.
     """
 
-    def __init__(self, elf: Path, limbs: int, flash: bytes | None = None, heat_known: bool = True) -> None:
+    def __init__(
+        self,
+        elf: Path,
+        limbs: int,
+        flash: bytes | None = None,
+        heat_known: bool = True,
+        learned: bytes = b"",
+    ) -> None:
         """Power the chip on.
 
         Args:
@@ -30,6 +37,7 @@ class VirtualRobot:
             flash: content of the flash when such a robot was switched off; None: that of the image.
             heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
                 lets them rest first.
+            learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
 
         Raises:
             InputError: not such an image, or more limbs than the board has pins.
@@ -41,6 +49,7 @@ class VirtualRobot:
         self.chip = VirtualChip(elf, flash=flash)
         if heat_known:
             self.chip.ram_write(self.chip.symbol("persistent"), COLD_LIMBS)
+        self.chip.ram_write(self.chip.symbol("learned"), learned)
         self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}
         self._collector = FrameCollector()
 

@@ -14,13 +14,15 @@ from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
 from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.follow import End
-from frogkick.estimator.wear import OFF, ON
+from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.wire import Edge
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.decision import (
+    LOST_FIELDS,
+    NOTHING_LOST,
     RESTING,
     Decision,
     DecisionTwin,
@@ -136,15 +138,24 @@ def parameters(config: PlanConfig) -> dict[str, float]:
     }
 
 
-def configure(session: Session, config: PlanConfig, learn: bool) -> None:
-    """Send a robot a planner configuration, and whether it learns what limbs have lost, from nothing on.
+def configure(session: Session, config: PlanConfig, learn: bool) -> tuple[int, ...]:
+    """Send a robot a planner configuration, and whether it learns what limbs have lost.
+
+    One that learns goes on from the shares that it knows; HELD drops all but these, so that a twin can start
+    from the same.
+
+    Returns:
+        (8,) the shares that it knows, 0 to 32767, as in ``Decision``.
 
     Raises:
         LinkError: a value is out of its limits, or the table holds no wear curves to learn by.
     """
-    session.set_parameters(parameters(config))
-    if learn:
-        session.set_parameters({"LEARN": ON})
+    session.set_parameters({**parameters(config), "LEARN": HELD if learn else OFF})
+    if not learn:
+        return NOTHING_LOST
+    status = session.request("STATUS")
+    session.set_parameters({"LEARN": ON})
+    return tuple(int(status[name]) for name in LOST_FIELDS)
 
 
 def require_seed(seed: int) -> None:
@@ -229,9 +240,9 @@ class _Run:
         session, options = self.session, self.options
         session.handshake(self.tables)
         self.recording.clock_offset_us = session.robot_clock_offset_us()
-        configure(session, options.config, options.learn and options.onboard)
+        lost = configure(session, options.config, options.learn and options.onboard)
         if options.check is not None:
-            options.check.begin(self.tables, self.path, options.config, options.learn)
+            options.check.begin(self.tables, self.path, options.config, options.learn, lost)
         session.send_path(self.path)
         self.may_be_armed = True
         try:

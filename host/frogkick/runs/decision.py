@@ -13,7 +13,7 @@ from frogkick.core.errors import CheckError
 from frogkick.estimator.estimator import LOST_US, Estimates, Estimator
 from frogkick.estimator.follow import End, Follow
 from frogkick.estimator.track import resting_action_of
-from frogkick.estimator.wear import ON, WearFilter
+from frogkick.estimator.wear import WearFilter
 from frogkick.link.frames import Frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
@@ -29,6 +29,7 @@ LOST_FIELDS = tuple(f"lost_{limb}" for limb in range(LIMBS_MAX))
 STALE = link_layout().status["STALE"]
 SUPPLY = link_layout().status["SUPPLY"]
 VALUE = link_layout().status["VALUE"]
+NOTHING_LOST = (0,) * LIMBS_MAX
 RESTING = -1
 """``RobotEvent.action`` where the guard refused a stroke, so that the robot rests."""
 
@@ -71,7 +72,7 @@ class Decision:
     predicted: Float32 = field(default_factory=_no_state)
     plan_us: int = 0
     limb_use: tuple[int, ...] = (0,) * LIMBS_MAX
-    lost: tuple[int, ...] = (0,) * LIMBS_MAX
+    lost: tuple[int, ...] = NOTHING_LOST
     depth_reached: int = 0
     transitions: int = 0
     distance_m: np.float32 = np.float32(0.0)  # noqa: RUF009
@@ -211,18 +212,20 @@ class DecisionTwin:
         config: PlanConfig,
         estimator: Estimates | None = None,
         learn: bool = False,
+        lost: Sequence[int] = NOTHING_LOST,
     ) -> None:
         """Start at the path's begin.
 
         Args:
             estimator: None: the twin of the robot's own.
             learn: the twin of the robot's own learns what the limbs have lost, and plans with it.
+            lost: the shares that it starts from, as in ``Decision``.
         """
         self._tables = tables
         self._config = config
         own = estimator if isinstance(estimator, Estimator) else Estimator(tables)
         if learn:
-            own.track.learn(ON)
+            own.track.resume(lost)
         self._track = own.track
         self._estimator: Estimates = own if estimator is None else estimator
         self._resting_action = resting_action_of(tables)
@@ -318,10 +321,22 @@ class LiveCheck:
         self._twin: DecisionTwin | None = None
         self._names: list[str] = []
 
-    def begin(self, tables: Tables, path: Path, config: PlanConfig, learn: bool = False) -> None:
-        """Start with a run's tables, placed path, and weights, and whether the robot learns in it."""
+    def begin(
+        self,
+        tables: Tables,
+        path: Path,
+        config: PlanConfig,
+        learn: bool = False,
+        lost: Sequence[int] = NOTHING_LOST,
+    ) -> None:
+        """Start with a run's tables, placed path, and weights.
+
+        Args:
+            learn: whether the robot learns in it.
+            lost: what it already knew of its limbs, as in ``Decision``.
+        """
         self.agreed = self.unchecked = 0
-        self._twin = DecisionTwin(tables, path, config, learn=learn)
+        self._twin = DecisionTwin(tables, path, config, learn=learn, lost=lost)
         self._names = [row.name for row in tables.actions]
 
     def compare(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:

@@ -24,7 +24,7 @@ from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
-from frogkick.runs.decision import Decision
+from frogkick.runs.decision import NOTHING_LOST, Decision
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
@@ -221,6 +221,12 @@ def _ended(ended: str, lost: Mapping[str, float]) -> str:
 def learned_limbs(run: RunLog) -> list[str]:
     """Names of the limbs of a run that learned, in the order of the column ``lost`` of its decisions."""
     return run.made[LEARN].split(", ") if LEARN in run.made else []
+
+
+def lost_at_start(run: RunLog) -> tuple[int, ...]:
+    """Share of its contribution that each limb had lost, as known at the run's start: (8,), 0 to 32767."""
+    learned = run.decisions.extra.get("lost")
+    return NOTHING_LOST if learned is None or not len(learned) else tuple(int(code) for code in learned[0])
 
 
 def lost_of(run: RunLog) -> dict[str, float] | None:

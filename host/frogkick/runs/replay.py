@@ -24,7 +24,7 @@ from frogkick.runs.decision import (
     events_of_frame,
 )
 from frogkick.runs.path_change import PathSender
-from frogkick.runs.record import LEARN
+from frogkick.runs.record import LEARN, lost_at_start
 from frogkick.runs.recorded import clock_problem
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session
@@ -132,7 +132,8 @@ def replay(
         run: recorded run with its path.
         tables: transitions for the planner.
         config: weights and depth.
-        port: a robot with these tables; None: the host alone.
+        port: a robot with these tables that knows of its limbs what the recorded one knew at the run's start
+            (``lost_at_start``); None: the host alone.
         host: whether the host's twins decide too.
         progress: called with decisions done and to do.
 
@@ -149,7 +150,7 @@ def replay(
         onboard, events = replay_onboard(schedule, run.path, tables, config, port, progress, learn)
     else:
         events = _events_of(schedule)
-    twin = DecisionTwin(tables, run.path, config, learn=learn)
+    twin = DecisionTwin(tables, run.path, config, learn=learn, lost=lost_at_start(run))
     decided = replay_on_host(events, twin) if host else []
     names = [row.name for row in tables.actions] + ["-"]
     actions = [names[d.action] for d in (onboard or decided)]

@@ -190,14 +190,14 @@ def test_a_refused_part_is_begun_anew_and_not_for_ever() -> None:
 def test_a_path_waits_for_its_time_its_fix_and_an_estimate() -> None:
     changes = PathChanges((NextPath(BESIDE, 1.0), NextPath(line(), 2.0, here=True)))
     fix = Fix(2.0, 0.1, 0.3, 0.2, 1.0, sequence=1)
-    assert changes.due(0.99, [fix]) is None
-    assert changes.due(1.0, []) is BESIDE
-    assert changes.due(1.5, [fix]) is None
-    assert changes.due(2.0, []) is None
-    path = changes.due(2.1, [fix])
+    assert changes.due(0.99, [fix], []) is None
+    assert changes.due(1.0, [], []) is BESIDE
+    assert changes.due(1.5, [fix], []) is None
+    assert changes.due(2.0, [], []) is None
+    path = changes.due(2.1, [fix], [])
     assert path is not None and (path.x_m[0], path.y_m[0]) == pytest.approx((0.3, 0.2))
     assert path.tangent_rad[0] == pytest.approx(1.0)
-    assert changes.due(9.0, [fix]) is None
+    assert changes.due(9.0, [fix], []) is None
     changes.arrived(path)
     stale, made = Decision(STALE, 0, 0), Decision(0, 0, 0)
     changes.decided([made, stale])

@@ -57,6 +57,14 @@ def run(
             "is. May be given several times."
         ),
     ] = None,
+    hold: Annotated[
+        bool,
+        typer.Option(
+            "--hold",
+            help="At the path's end circle it, within 100 mm if the robot turns tightly enough, until a path "
+            "of --then takes over, --simulated-time is over, or the run is stopped.",
+        ),
+    ] = False,
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
     learn: Annotated[
@@ -153,6 +161,7 @@ def run(
         learn=learn,
         inside=inside,
         then=then or (),
+        hold=hold,
         seed=seed,
         time_limit_s=simulated_time,
         fix_rate_hz=fix_rate,
@@ -176,6 +185,7 @@ def run(
             "where the robot is, and that it leads where the robot can go"
         )
     from frogkick.front.bench import UNFINISHED
+    from frogkick.front.holding import held
     from frogkick.front.next_paths import not_reached
     from frogkick.front.run_progress import lacks_a_limb, tight_path
 
@@ -183,6 +193,8 @@ def run(
         say(lacks)
     elif tight := tight_path(found, found.tracking):
         say(tight)
+    if said := held(found.as_json()["hold"], hold):
+        say(said)
     if lacking := not_reached(len(then or ()), found.log):
         say(lacking)
     if found.ended in UNFINISHED:

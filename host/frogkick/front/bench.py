@@ -17,6 +17,7 @@ import numpy as np
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
+from frogkick.front.holding import require_room
 from frogkick.front.places import built_firmware, start_pose
 from frogkick.front.run_progress import SLOW_S
 from frogkick.link.auth import read_key
@@ -25,6 +26,7 @@ from frogkick.link.opening import opened, require_wire
 from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import FORMS, Wire, is_target, parse_target
 from frogkick.paths import Path as SwimPath
+from frogkick.paths.hold import hold_at_end
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
@@ -349,7 +351,11 @@ def run_on_bench(
             newest = [float(value) for value in seen[-1].pose_world]
             then = sight.placed_with(path, options.then, newest)
             path, options = sight.placed(path, newest), replace(options, then=then)
-        checked = check_start(seen, path, pool_m, [one.path for one in options.then if not one.here])
+        later = [one.path for one in options.then if not one.here]
+        if options.hold_m is not None:
+            require_room(path, options.hold_m, options.config)
+            later += [hold_at_end(one, options.hold_m).entry for one in (path, *later)]
+        checked = check_start(seen, path, pool_m, later)
         wire = bench.wire or stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, bench.dialect, image, robot, bench.key))
         session.handshake(tables)

@@ -81,17 +81,22 @@ def _text(one: Any) -> str:
 
 
 def then_json(run: RunLog) -> list[dict[str, Any]]:
-    """The paths that took over, each with its first decision's time since the run's first decision."""
+    """The paths that took over, each with its first decision's time since the run's first decision.
+
+    Those that hold at an end are left out: the host makes them.
+    """
     times_s = run.decisions.time_s
     return [
         {"path": change.path.name, "from_s": round(float(times_s[change.decision] - times_s[0]), 6)}
         for change in run.then
+        if change.hold is None
     ]
 
 
 def not_reached(planned: int, run: RunLog) -> str:
     """A sentence on paths that a run ended before; "" where there are none."""
-    if planned <= len(run.then):
+    made = len(then_json(run))
+    if planned <= made:
         return ""
-    reached = f"{len(run.then)} of {planned} paths of --then took over"
+    reached = f"{made} of {planned} paths of --then took over"
     return f"{reached}: the run had ended before the others ({run.notes}); give earlier times"

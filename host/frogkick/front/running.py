@@ -30,6 +30,7 @@ from frogkick.front.bench import (
     require_film,
     run_on_bench,
 )
+from frogkick.front.holding import hold_json, hold_radius_m, require_room
 from frogkick.front.html import page_of
 from frogkick.front.next_paths import Then, next_paths, then_json
 from frogkick.front.partial_logs import Keep, log_so_far, reports_partial_log
@@ -179,7 +180,7 @@ class Run(RunLog):
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""
         learned = {"lost": lost_of(self), "wall_clearance_m": clearance_m(self)}
-        then = {"then": then_json(self)}
+        then = {"then": then_json(self), "hold": hold_json(self)}
         return {**self.tracking.as_json(), **self.checked, **learned, **then, "ended": self.ended}
 
     def __repr__(self) -> str:
@@ -245,6 +246,7 @@ def run(
     learn: bool = False,
     inside: str | Sequence[float] | None = None,
     then: Then | Sequence[Then] = (),
+    hold: bool = False,
     seed: int = 0,
     time_limit_s: float = 120.0,
     fix_rate_hz: float = 15.0,
@@ -280,6 +282,7 @@ def run(
         inside: walls to keep from: x, y, x, y of opposite corners, m, or "pool": the calibration's.
         then: paths that take over without a stop: "ellipse@20" or ("ellipse", 20.0) at 20 s after the first
             decision; "ellipse@20@here", ("ellipse", 20.0, "here"): it begins where the robot then is.
+        hold: at its path's end the robot circles it until a later path takes over or the run is ended.
         seed: seed of the simulated camera's noise.
         time_limit_s: time limit, s; of the pool if that is simulated.
         fix_rate_hz: simulated position fixes per second.
@@ -322,7 +325,12 @@ def run(
     stopped = threading.Event()  # by the button of the page
     config = walled(plan_config(described, planner, depth), inside, used, fixes)
     following = next_paths(then, time_limit_s)
-    options = RunOptions(config, plan != "host", time_limit_s, check, stopped.is_set, learn, following)
+    hold_m = hold_radius_m(used.tables, described.id) if hold else None
+    if hold_m is not None and not is_real:
+        require_room(desired, hold_m, config)
+    options = RunOptions(
+        config, plan != "host", time_limit_s, check, stopped.is_set, learn, following, hold_m
+    )
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
     known = {} if battery_v is None else {BATTERY_V: battery_v}
     pool, made = None, dict[str, str]()

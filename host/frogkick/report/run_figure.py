@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
+from frogkick.runs.holding import HOLD_LIMIT_M, hold_spans
 from frogkick.runs.record import distances_m, learned_limbs
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import residual, track_of, true_poses_at
@@ -112,6 +114,10 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
             fontsize=7,
             color=seen.colour,
         )
+    for x_m, y_m in sorted({end_m for _, _, end_m in hold_spans(run)}):
+        limit = Circle((100.0 * x_m, 100.0 * y_m), 100.0 * HOLD_LIMIT_M, fill=False, color=style.ALARM)
+        limit.set(linestyle=":", label=f"within {1e3 * HOLD_LIMIT_M:.0f} mm of the end")
+        axes.add_patch(limit)
     if run.path is not None:
         axes.plot(*(100.0 * run.path.points_m[0]), "s", color=style.DESIRED, label="start of the path")
     style.pool_axes(axes)

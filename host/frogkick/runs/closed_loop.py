@@ -31,6 +31,7 @@ from frogkick.runs.decision import (
     decision_of_event,
     events_of_frame,
 )
+from frogkick.runs.holding import Holding
 from frogkick.runs.path_change import NextPath, PathChanges, PathSender
 from frogkick.runs.runlog import PathChange
 from frogkick.runs.session import LinkError, Session
@@ -66,7 +67,7 @@ class Recording:
         events: inputs of the robot's estimator and planner, in its order: they reproduce its decisions.
         decisions, edges: decisions and pin edges in order.
         then: paths that took over, and from which decision on.
-        completed: the robot reached the path's end.
+        completed: the robot reached the path's end, or held it until the run was ended.
         ended: why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED.
         fixes_refused: the robot's own counter.
         first_decision_s, end_s: session time.
@@ -112,6 +113,7 @@ class RunOptions:
         onboard: True: the robot's planner decides; False: the twin on the host.
         learn: whoever decides learns what the limbs have lost, and plans with it.
         then: paths that take over during the run, in the order of their times.
+        hold_m: radius of the circle on which the robot holds at its path's end, m; None: the run ends there.
         time_limit_s: longest time from the first decision on.
         check: compares each decision of the robot with the host's; None: no comparison.
         stop: polled at each step; True ends the run.
@@ -124,6 +126,7 @@ class RunOptions:
     stop: Callable[[], bool] = lambda: False
     learn: bool = False
     then: tuple[NextPath, ...] = ()
+    hold_m: float | None = None
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
@@ -232,7 +235,8 @@ class _Run:
     def __post_init__(self) -> None:
         self.recording.edges = self.session.edges  # grows with the session
         self.session.on_step = self._advance_source
-        self.changes = PathChanges(self.options.then, self.recording.then)
+        holding = None if self.options.hold_m is None else Holding(self.path, self.options.hold_m)
+        self.changes = PathChanges(self.options.then, self.recording.then, holding)
         self.sender = PathSender(self.session)
         self.twin = DecisionTwin(self.tables, self.path, self.options.config, learn=self.options.learn)
 
@@ -254,7 +258,7 @@ class _Run:
                 self._run_on_host()
         except _StopError:
             session.request("STOP")
-            self.recording.ended = STOPPED
+            self._end(STOPPED)
         self.recording.end_s = session.time_s
         session.request("DISARM")
         self.recording.fixes_refused = int(session.request("STATUS")["fixes_refused"])
@@ -268,7 +272,7 @@ class _Run:
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while session.time_s < limit_s:
             self._run_until(min(session.time_s + 0.05, limit_s))
-            path = self.changes.due(session.time_s - recording.first_decision_s, recording.fixes)
+            path = self._path_due()
             if path is not None and not recording.ended:
                 self.sender.begin(path)
             if session.reconnected() and not recording.ended:
@@ -276,7 +280,18 @@ class _Run:
             if recording.ended:
                 return
         session.request("STOP")
-        recording.ended = TIME
+        self._end(TIME)
+
+    def _end(self, why: str) -> None:
+        """Note that the run was ended from outside, which is how one ends that holds."""
+        self.recording.ended = why
+        self.recording.completed = self.changes.holds
+
+    def _path_due(self) -> Path | None:
+        """The path to send now, or None."""
+        recording = self.recording
+        since_s = self.session.time_s - recording.first_decision_s
+        return self.changes.due(since_s, recording.fixes, recording.decisions)
 
     def _check_still_running(self) -> None:
         """Ask the robot after a lost connection: its ENDED may have been lost."""
@@ -296,12 +311,12 @@ class _Run:
             if self._ended_on_host():
                 return
             if session.time_s >= limit_s:
-                recording.ended = TIME
+                self._end(TIME)
                 return
             if self.twin.is_lost(at_us):
                 recording.ended = ENDED["STALE"]
                 return
-            path = self.changes.due(session.time_s - recording.first_decision_s, recording.fixes)
+            path = self._path_due()
             if path is not None:
                 self.twin.change_path(path)
                 self.changes.arrived(path)

@@ -5,6 +5,7 @@ It has the layout of a run's log. The caller deletes it once the complete log is
 
 from __future__ import annotations
 
+import math
 import pathlib
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +18,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
 from frogkick.paths import Path
+from frogkick.paths.hold import hold_at_end
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.record import decision_columns, fix_columns, run_log
@@ -26,6 +28,9 @@ from frogkick.tables.image import Tables
 
 CHUNK_ROWS = 256
 GATHER_S = 0.02
+SPEED_MAX_MPS = 0.05
+HOLDS_MAX = 200
+"""Paths that hold, of which a log in progress has room for; the complete one holds them all."""
 CUT_OFF = "cut off while it ran"
 
 
@@ -67,6 +72,7 @@ class LiveLog:
         """
         self.path = part_of(target)
         self._fixes = self._decisions = self._changes = 0
+        self._room = len(empty.then)  # a file that others read takes no further groups
         self._unanswered: list[int] = []
         self._onboard = onboard
         try:
@@ -103,7 +109,7 @@ class LiveLog:
             rows += self._new_fixes(recording, answered)
         if decided:
             rows.append(self._new_decisions(recording))
-            changes = list(enumerate(recording.then))[self._changes :]
+            changes = list(enumerate(recording.then))[self._changes : self._room]
             rows += [_Change(number, change) for number, change in changes]
             self._changes += len(changes)
         with self._lock:
@@ -196,8 +202,12 @@ class LiveLog:
     def _write_change(self, row: _Change) -> None:
         for name in ("x_m", "y_m", "tangent_rad"):
             data = self._file[f"then/{row.number}/{name}"]
+            data.resize((len(row.change.path),))
             data[:] = getattr(row.change.path, name)
             data.flush()
+        if row.change.hold is not None:
+            self._file["then/hold"][row.number] = row.change.hold
+            self._file["then/hold"].flush()
         data = self._file["then/decision"]
         data[row.number] = row.change.decision
         data.flush()
@@ -236,6 +246,10 @@ def logged(
             return
         empty = run_log(Recording(), None, robot, tables, path, options, None, source, made=made)
         planned = tuple(PathChange(-1, one.path) for one in options.then)
+        if options.hold_m is not None:  # where and when each takes over is not known yet
+            laps_s = hold_at_end(path, options.hold_m).laps.length_m / SPEED_MAX_MPS
+            again = min(HOLDS_MAX, 2 * (len(planned) + 1) + math.ceil(options.time_limit_s / laps_s))
+            planned += (PathChange(-1, path, (0.0, 0.0, 0)),) * again
         empty = replace(empty, then=planned, measured=known or {}, notes=CUT_OFF)
         live = LiveLog(target, empty, options.onboard)
         try:

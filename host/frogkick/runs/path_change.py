@@ -10,6 +10,7 @@ from frogkick.link.frames import Frame, path_frames
 from frogkick.link.layout import link_layout
 from frogkick.paths import Path
 from frogkick.runs.decision import STALE, Decision
+from frogkick.runs.holding import Holding
 from frogkick.runs.runlog import PathChange
 from frogkick.runs.session import LinkError, Session
 
@@ -84,29 +85,31 @@ class PathChanges:
     Attributes:
         planned: in the order of their times.
         made: those that are followed already.
+        holding: holds at the end of whatever path is followed; None: the run ends there.
     """
 
     planned: Sequence[NextPath]
     made: list[PathChange] = field(default_factory=list)
+    holding: Holding | None = None
     _begun: int = 0
     _arrived: Path | None = None
 
-    def due(self, since_s: float, fixes: Sequence[Fix]) -> Path | None:
+    def due(self, since_s: float, fixes: Sequence[Fix], decisions: Sequence[Decision]) -> Path | None:
         """Return the path to send now, or None.
 
         Args:
             since_s: time since the first decision.
             fixes: so far, of which the newest says where the robot is.
+            decisions: so far, of which the last says how far along its path the robot is.
         """
-        if self._begun == len(self.planned) or since_s < self.planned[self._begun].at_s:
-            return None
-        following = self.planned[self._begun]
-        if following.here and not fixes:
-            return None
-        self._begun += 1
-        if not following.here:
-            return following.path
-        return following.path.place(following.path.motion_to(fixes[-1].pose_world.tolist()))
+        if self._begun < len(self.planned) and since_s >= self.planned[self._begun].at_s:
+            following = self.planned[self._begun]
+            if not following.here or fixes:
+                self._begun += 1
+                if not following.here:
+                    return following.path
+                return following.path.place(following.path.motion_to(fixes[-1].pose_world.tolist()))
+        return None if self.holding is None else self.holding.due(decisions)
 
     def arrived(self, path: Path) -> None:
         """Take note that whoever decides has a path."""
@@ -115,5 +118,13 @@ class PathChanges:
     def decided(self, decisions: Sequence[Decision]) -> None:
         """Take note of a decision, the last one: without an estimate a path waits for the next one."""
         if self._arrived is not None and decisions[-1].status != STALE:
-            self.made.append(PathChange(len(decisions) - 1, self._arrived))
+            hold = None if self.holding is None else self.holding.followed(self._arrived)
+            self.made.append(PathChange(len(decisions) - 1, self._arrived, hold))
             self._arrived = None
+        if self.holding is not None:
+            self.holding.decided(decisions[-1])
+
+    @property
+    def holds(self) -> bool:
+        """Whether the robot has come to circle the end of its path."""
+        return self.holding is not None and self.holding.began

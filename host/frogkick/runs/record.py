@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import pathlib
 import shlex
 import sys
@@ -25,6 +26,7 @@ from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import NOTHING_LOST, Decision
+from frogkick.runs.holding import holds_from
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
@@ -298,7 +300,12 @@ def tracking_of_recording(recording: Recording, pool: Pool | None, robot: Robot,
     for change in recording.then:
         after_us = recording.decisions[change.decision].scheduled_us - recording.decisions[0].scheduled_us
         paths.append((recording.first_decision_s + 1e-6 * after_us, change.path))
-    mean_m, p95_m, progress_mps = along_paths(paths, time_s[during], poses[during])
+    first = holds_from(recording.then, [d.path_index for d in recording.decisions])
+    holds_s = np.inf
+    if first is not None:
+        after_us = recording.decisions[first].scheduled_us - recording.decisions[0].scheduled_us
+        holds_s = recording.first_decision_s + 1e-6 * after_us
+    mean_m, p95_m, progress_mps = along_paths(paths, time_s[during], poses[during], holds_s)
     return Tracking(
         mean_distance_m=mean_m,
         p95_distance_m=p95_m,
@@ -323,18 +330,25 @@ def along_path(path: Path, time_s: np.ndarray, poses_world: np.ndarray) -> tuple
 
 
 def along_paths(
-    paths: Sequence[tuple[float, Path]], time_s: np.ndarray, poses_world: np.ndarray
+    paths: Sequence[tuple[float, Path]],
+    time_s: np.ndarray,
+    poses_world: np.ndarray,
+    until_s: float = math.inf,
 ) -> tuple[float, float, float]:
-    """The same for paths that follow each other, each with the time from which on it is followed."""
+    """The same for paths that follow each other, each with the time from which on it is followed.
+
+    Progress is that until a time: a robot that holds at an end makes none.
+    """
     if len(time_s) < 2:
         return 0.0, 0.0, 0.0
     distance_m = distances_m(paths, time_s, poses_world)
     advance_m = 0.0
-    for path, rows in _followed(paths, time_s):
+    under_way_s = time_s[: max(2, int(np.searchsorted(time_s, until_s)))]
+    for path, rows in _followed(paths, under_way_s):
         arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
         first, last = path.nearest_index(poses_world[[rows[0], rows[-1]], :2])
         advance_m = advance_m + (arc_m[last] - arc_m[first])
-    progress_mps = advance_m / (time_s[-1] - time_s[0])
+    progress_mps = advance_m / (under_way_s[-1] - under_way_s[0])
     return float(distance_m.mean()), float(np.percentile(distance_m, 95)), float(progress_mps)
 
 

@@ -203,10 +203,13 @@ class PathChange:
     Attributes:
         decision: the first one that follows it; -1 in a log of a run that has not got so far.
         path: the path.
+        hold: of one that holds at the end of the path before: x and y of that end, m, world, and the index of
+            the path's first point on the circle about it; None: a path that leads on.
     """
 
     decision: int
     path: Path
+    hold: tuple[float, float, int] | None = None
 
 
 def _is_moment(text: str) -> bool:

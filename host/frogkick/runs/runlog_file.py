@@ -21,7 +21,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file, write_bytes
-from frogkick.paths import Path
+from frogkick.paths import POINTS_MAX, Path
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, PathChange, RunLog, Strokes, Truth
 
 FORMAT = "frogkick run"
@@ -85,8 +85,11 @@ def fill(file: h5py.File, run: RunLog, chunk_rows: int = 0) -> None:
     if run.then:
         group = file.create_group("then")
         group.create_dataset("decision", data=np.array([change.decision for change in run.then]))
+        if any(change.hold for change in run.then):
+            holds = [change.hold or (np.nan,) * 3 for change in run.then]
+            group.create_dataset("hold", data=np.array(holds, dtype=np.float64))
         for number, change in enumerate(run.then):
-            _write_path(group.create_group(str(number)), change.path)
+            _write_path(group.create_group(str(number)), change.path, bool(chunk_rows))
     for title, numbers in (("measured", run.measured), ("planner", run.planner)):
         if numbers:
             group = file.create_group(title)
@@ -142,6 +145,11 @@ def _read(file: h5py.File) -> RunLog:
         )
     path = _read_path(file["path"]) if "path" in file else None
     changed = file["then/decision"][:].tolist() if "then" in file else []
+    holds = (
+        file["then/hold"][:]
+        if "then" in file and "hold" in file["then"]
+        else np.full((len(changed), 3), np.nan)
+    )
     names = file["decisions/action"].attrs["names"]
     return RunLog(
         robot_id=str(file.attrs["robot_id"]),
@@ -155,7 +163,7 @@ def _read(file: h5py.File) -> RunLog:
         path=path,
         # -1: the run that this is the log of has not got so far
         then=tuple(
-            PathChange(decision, _read_path(file[f"then/{number}"]))
+            PathChange(decision, _read_path(file[f"then/{number}"]), _hold_of(holds[number]))
             for number, decision in enumerate(changed)
             if decision >= 0
         ),
@@ -169,14 +177,19 @@ def _read(file: h5py.File) -> RunLog:
     )
 
 
-def _write_path(group: h5py.Group, path: Path) -> None:
+def _write_path(group: h5py.Group, path: Path, grows: bool = False) -> None:
     group.attrs["name"] = path.name
+    how: dict[str, Any] = {"maxshape": (POINTS_MAX,), "chunks": (POINTS_MAX,)} if grows else {}
     for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
-        group.create_dataset(name, data=getattr(path, name)).attrs["unit"] = unit
+        group.create_dataset(name, data=getattr(path, name), **how).attrs["unit"] = unit
 
 
 def _read_path(group: h5py.Group) -> Path:
     return Path(group["x_m"][:], group["y_m"][:], group["tangent_rad"][:], str(group.attrs["name"]))
+
+
+def _hold_of(row: Any) -> tuple[float, float, int] | None:
+    return None if np.isnan(row[0]) else (float(row[0]), float(row[1]), int(row[2]))
 
 
 def _numbers(file: h5py.File, title: str) -> dict[str, float]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
+from frogkick.runs.holding import hold_spans
 from frogkick.runs.record import BATTERY_V, Tracking, along_paths
 from frogkick.runs.runlog import RunLog
 
@@ -197,7 +198,8 @@ def summary(run: RunLog) -> Summary:
     time_s, poses, of = track_of(run)
     distances: tuple[float | None, float | None, float | None] = (None, None, None)
     if run.path is not None:
-        distances = along_paths(run.paths, time_s, poses)
+        spans = hold_spans(run)
+        distances = along_paths(run.paths, time_s, poses, spans[0][0] if spans else math.inf)
     known = run.decisions.predicted is not None and run.truth is not None
     error = residual(run).error if known else None
     usable = run.fixes.usable

@@ -1,0 +1,162 @@
+"""A path that holds a robot near another path's end: a join that bends aside, and laps about the end.
+
+A robot that must keep swimming to steer cannot stop at a point, so it circles the point. It arrives faster
+than it can turn on the circle: an arc leads it from the path to a line that passes the end on one side, and
+a spiral from there to the circle takes its speed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.core.errors import InputError
+from frogkick.paths.path import POINTS_MAX, Path
+
+Float64 = NDArray[np.float64]
+
+LAP_POINTS = 24
+"""Points of a lap: the polygon's sides lie within 0.9 % of the radius of the circle."""
+ARC = 2.0
+"""Radius of the arc that leaves the path, in radii of the circle."""
+STRAIGHT = 1.6
+"""Length of the line from that arc to the spiral, in radii of the circle."""
+SPIRAL, SPIRAL_POINTS = 1.45, 18
+"""Radius at which the spiral begins, in radii of the circle, and number of steps of a lap that it takes."""
+LEAD = 2.0
+"""Length of the path that is repeated before the arc, in radii of the circle."""
+LEAD_POINTS = 12
+BEYOND_POINTS = 24
+_TRIED = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """How a robot holds at a path's end.
+
+    Attributes:
+        end_m: x, y of the end, world, m: the circle's centre.
+        leave_m: length of the path after which the join begins, m; beyond the path's own: straight on.
+        entry: the path's last part, the join, and laps.
+        circle_point: index of the entry's first point on the circle.
+        laps: laps alone, from the same point of the circle.
+    """
+
+    end_m: tuple[float, float]
+    leave_m: float
+    entry: Path
+    circle_point: int
+    laps: Path
+
+
+def hold_at_end(path: Path, radius_m: float) -> Hold:
+    """Return how to hold at a path's end.
+
+    The join begins at the last place of the path from which there is one. Where the path is too short for
+    it, the robot swims straight on past the end, and comes back.
+
+    Args:
+        path: that ends there, world frame.
+        radius_m: of the circle about the end.
+
+    Raises:
+        InputError: the radius is not a finite number above 0.
+    """
+    if not 0.0 < radius_m < math.inf:
+        raise InputError(f"hold: radius {radius_m} m: give a finite radius above 0 m")
+    rows = path.points_m
+    end = rows[-1]
+    arc_m, first_m = ARC * radius_m, SPIRAL * radius_m
+    arcs_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows, axis=0).T))])
+    course = _Course(rows, arcs_m, np.unwrap(path.tangent_rad.astype(np.float64)))
+    length_m = float(arcs_m[-1])
+    here, side, sweep_rad, leave_m = _leave(course, end, arc_m, first_m)
+    is_beyond = leave_m > length_m
+    begin_m = 0.0 if is_beyond else max(0.0, leave_m - LEAD * radius_m)
+    lead = course.at(np.linspace(begin_m, leave_m, BEYOND_POINTS if is_beyond else LEAD_POINTS))
+    centre = here[:2] + side * arc_m * np.array([-math.sin(here[2]), math.cos(here[2])])
+    from_rad = here[2] - side * 0.5 * math.pi
+    steps = max(1, math.ceil(abs(sweep_rad) * LAP_POINTS / (2.0 * math.pi)))
+    arc = _round(centre, np.full(steps, arc_m), from_rad + sweep_rad * np.arange(1, steps + 1) / steps, side)
+    before = len(lead) + len(arc)
+    touches = from_rad + sweep_rad + math.pi  # a line that touches two circles from inside
+
+    def laps(spiral: int, points: int) -> Float64:
+        number = np.arange(points)
+        angle = touches - side * (number + SPIRAL_POINTS - spiral) * 2.0 * math.pi / LAP_POINTS
+        # A polygon lies inside of its circle: this one as far outside at its corners as inside between.
+        fit = 2.0 * radius_m / (1.0 + math.cos(math.pi / LAP_POINTS))
+        wider = np.maximum(0.0, 1.0 - number / spiral) if spiral else np.zeros(points)
+        return _round(end, fit + (first_m - radius_m) * wider, angle, -side)
+
+    name = f"hold at the end of {path.name}"
+    whole = np.vstack([lead, arc, laps(SPIRAL_POINTS, POINTS_MAX - before)])
+    return Hold(
+        (float(end[0]), float(end[1])),
+        leave_m,
+        _path_of(whole, name),
+        before + SPIRAL_POINTS,
+        _path_of(laps(0, POINTS_MAX), name),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """A path by its length, straight on beyond its end."""
+
+    rows: Float64
+    arcs_m: Float64
+    headings_rad: Float64
+
+    def at(self, at_m: Float64) -> Float64:
+        """(n, 3) x, y, heading."""
+        beyond_m = np.maximum(at_m - self.arcs_m[-1], 0.0)
+        last = self.headings_rad[-1]
+        x, y, heading = (
+            np.interp(at_m, self.arcs_m, column)
+            for column in (self.rows[:, 0], self.rows[:, 1], self.headings_rad)
+        )
+        return np.column_stack([x + beyond_m * math.cos(last), y + beyond_m * math.sin(last), heading])
+
+
+def _leave(course: _Course, end: Float64, arc_m: float, first_m: float) -> tuple[Float64, int, float, float]:
+    """Where the arc begins, to which side it bends (1: left, -1: right), and how far round, rad.
+
+    It is the last place of the path, or else the first one straight on beyond, from which arc, line and
+    spiral touch each other, and the arc is less than half a circle on the path. The left side comes first.
+
+    Returns:
+        (3,) pose of the place, side, sweep, and the length of the path before it.
+    """
+    line_m = STRAIGHT * first_m / SPIRAL
+    reach_m = math.hypot(first_m + arc_m, line_m)
+    length_m = float(course.arcs_m[-1])
+    on_m, beyond_m = np.linspace(0.0, length_m, _TRIED), length_m + np.linspace(0.0, 2.0 * reach_m, _TRIED)
+    found: list[tuple[bool, float, int, float]] = []
+    for at_m, is_on in ((on_m, True), (beyond_m, False)):
+        poses = course.at(at_m)
+        for side in (1, -1):
+            x = end[0] - (poses[:, 0] - side * arc_m * np.sin(poses[:, 2]))
+            y = end[1] - (poses[:, 1] + side * arc_m * np.cos(poses[:, 2]))
+            away = np.hypot(x, y) >= reach_m
+            # Where the line leaves the arc, seen from the arc's centre.
+            leaves = np.arctan2(y, x) - side * math.acos((first_m + arc_m) / reach_m)
+            sweep = np.mod(side * leaves - (side * poses[:, 2] - 0.5 * math.pi), 2.0 * math.pi)
+            crossed = np.flatnonzero((away[:-1] != away[1:]) & ((sweep[:-1] < math.pi) | (not is_on)))
+            found += [(is_on, float(at_m[k]), side, float(sweep[k])) for k in crossed]
+    nearest = max(found, key=lambda row: (row[0], row[1] if row[0] else -row[1], row[2]))
+    _, leave_m, side, sweep_rad = nearest
+    return course.at(np.array([leave_m]))[0], side, side * sweep_rad, leave_m
+
+
+def _path_of(poses: Float64, name: str) -> Path:
+    return Path.from_arrays(poses[:, 0], poses[:, 1], poses[:, 2], name)
+
+
+def _round(centre: Float64, radius_m: Float64, angle_rad: Float64, side: int) -> Float64:
+    """(n, 3) poses about a centre, at angles, to the left (1) or right (-1)."""
+    unit = np.column_stack([np.cos(angle_rad), np.sin(angle_rad)])
+    return np.column_stack([centre + radius_m[:, None] * unit, angle_rad + side * 0.5 * math.pi])

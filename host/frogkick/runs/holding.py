@@ -1,0 +1,103 @@
+"""``run --hold``: which path holds a robot at the end of the one that it follows, and when it is sent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from frogkick.paths import Path
+from frogkick.paths.hold import LAP_POINTS, LEAD, Hold, hold_at_end
+from frogkick.runs.decision import STALE, Decision
+from frogkick.runs.runlog import PathChange, RunLog
+
+HOLD_LIMIT_M = 0.1
+"""From the end of a path: a robot that holds there shall stay as near."""
+AGAIN_POINTS = 2
+"""Points behind the circle's begin at which laps are sent again: the robot goes on in their first lap."""
+
+
+class Holding:
+    """Sends a join and laps before a path ends, and laps again before they end.
+
+    Attributes:
+        began: the robot has come to the circle about the end of its path.
+    """
+
+    def __init__(self, path: Path, radius_m: float) -> None:
+        """Begin with a run's first path; the circle's radius is in m."""
+        self._radius_m = radius_m
+        self._follow(path)
+
+    def _follow(self, path: Path) -> None:
+        """A path that leads on is followed: it ends a hold."""
+        self._hold: Hold = hold_at_end(path, self._radius_m)
+        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+        # Early enough that it arrives, and late enough that the robot goes on where it is.
+        early_m = self._hold.leave_m - (LEAD - 0.5) * self._radius_m
+        is_short = self._hold.leave_m > along_m[-1]
+        self._send_at = 0 if is_short else int(np.searchsorted(along_m, early_m))
+        self._circle_point: int | None = None
+        self._is_sent = self.began = False
+
+    def due(self, decisions: Sequence[Decision]) -> Path | None:
+        """The path to send now, or None."""
+        if self._is_sent or not decisions or decisions[-1].status != 0:
+            return None
+        if decisions[-1].path_index < self._send_at:
+            return None
+        self._is_sent = True
+        return self._hold.entry if self._circle_point is None else self._hold.laps
+
+    def followed(self, path: Path) -> tuple[float, float, int] | None:
+        """Take note that a path has taken over; return what a log says of one that holds, else None."""
+        if path is self._hold.entry:
+            self._circle_point = self._hold.circle_point
+        elif path is self._hold.laps:
+            self._circle_point = 0
+        else:
+            self._follow(path)
+            return None
+        laps = (len(path) - 1 - LAP_POINTS // 2 - self._circle_point) // LAP_POINTS
+        self._send_at = self._circle_point + laps * LAP_POINTS + AGAIN_POINTS
+        self._is_sent = False
+        return (*self._hold.end_m, self._circle_point)
+
+    def decided(self, decision: Decision) -> None:
+        """Take note of a decision: the hold begins where the robot comes to the circle."""
+        if self._circle_point is not None and decision.status != STALE:
+            self.began = self.began or decision.path_index >= self._circle_point
+
+
+def holds_from(changes: Sequence[PathChange], path_index: Sequence[int]) -> int | None:
+    """The first decision on a circle, by the path index of each decision; None: there is none."""
+    for number, change in enumerate(changes):
+        last = changes[number + 1].decision if number + 1 < len(changes) else len(path_index)
+        if change.hold is not None:
+            for decision in range(change.decision, last):
+                if path_index[decision] >= change.hold[2]:
+                    return decision
+    return None
+
+
+def hold_spans(run: RunLog) -> list[tuple[float, float, tuple[float, float]]]:
+    """Begin and end of each time on a circle, s, and the end that it is about."""
+    index = run.decisions.extra.get("path_index")
+    if index is None:
+        return []
+    time_s = run.decisions.time_s
+    spans: list[tuple[float, float, tuple[float, float]]] = []
+    goes_on = False
+    for change, following in zip(run.then, (*run.then[1:], None), strict=False):
+        if change.hold is None:
+            goes_on = False
+            continue
+        last = len(time_s) if following is None else following.decision
+        there = np.arange(change.decision, last)
+        on = there if goes_on else there[index[there] >= change.hold[2]]
+        if len(on):
+            until_s = math.inf if following is None else float(time_s[last])
+            spans.append((float(time_s[on[0]]), until_s, change.hold[:2]))
+            goes_on = True
+    return spans

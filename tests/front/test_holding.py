@@ -1,0 +1,118 @@
+"""``run --hold``: the robot stays by its path's end, a later path ends that, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.commands import frogkick
+from tests.runs import rig
+
+import frogkick as fk
+from frogkick.core.errors import InputError
+from frogkick.front.holding import held, hold_json, hold_radius_m, require_room, turn_radius_m
+from frogkick.paths import line
+from frogkick.planner.plan import PlanConfig
+from frogkick.runs.closed_loop import RunOptions
+from frogkick.runs.live_log import logged
+from frogkick.runs.runlog_file import read_run
+
+HOLD_S = 80.0
+
+
+@pytest.fixture(scope="module")
+def swum(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("hold") / "hold.h5"
+    run = fk.run(
+        None, "line", model="frog2022", robot="pool", plan="both", hold=True, time_limit_s=HOLD_S, out=file
+    )
+    assert run.checked["mismatches"] == 0
+    return file
+
+
+def test_it_holds_until_the_time_is_over(swum: Path) -> None:
+    run = fk.load_run(swum)
+    found = run.as_json()
+    hold = found["hold"]
+    assert found["completed"] and run.ended == "time limit" and found["then"] == []
+    assert hold["from_s"] < 50.0 and hold["worst_m"] < hold["limit_m"] == 0.1
+    assert run.truth is not None and run.path is not None
+    since = run.truth.time_s >= run.decisions.time_s[0] + hold["from_s"]
+    end_m = run.path.points_m[-1]
+    away_m = np.hypot(*(run.truth.pose_world[since, :2] - end_m).T)
+    assert hold["worst_m"] == pytest.approx(away_m.max(), abs=1e-4)
+    assert run.tracking.progress_mps > 0.0
+    assert run.summary().progress_mps == pytest.approx(run.tracking.progress_mps, rel=0.02)
+
+
+def test_its_log_is_decided_again_and_drawn(swum: Path) -> None:
+    again = fk.replay(swum, plan="both", robot="pool")
+    assert again.mismatches == 0 and again.result.agreement == 1.0
+    axes = fk.load_run(swum).plot().axes[0]
+    assert "within 100 mm of the end" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_a_later_path_ends_the_hold_and_is_held_at_its_own_end() -> None:
+    run = fk.run(
+        None,
+        "line",
+        model="frog2022",
+        robot="pool",
+        plan="host",
+        hold=True,
+        then=("line", 50.0, "here"),
+        time_limit_s=62.0,
+    )
+    kinds = [change.hold is None for change in run.then]
+    assert kinds[0] is False and kinds.count(True) == 1
+    assert [one["path"] for one in run.as_json()["then"]] == ["line"]
+    assert hold_json(run) is not None
+
+
+def test_without_it_a_run_says_nothing_of_it() -> None:
+    run = fk.run(None, "line", model="frog2022", robot="pool", plan="host", time_limit_s=3.0)
+    assert run.as_json()["hold"] is None
+    assert held(None, False) == ""
+    assert "give a longer --simulated-time" in held(None, True)
+
+
+def test_what_is_said_of_it() -> None:
+    found = {"from_s": 1.0, "worst_m": 0.08, "mean_m": 0.07, "within_m": 0.075, "limit_m": 0.1}
+    assert held(found, True) == "the robot held within 80 mm of its path's end, 70 mm on average"
+    assert "the water or worn limbs carried it away" in held({**found, "worst_m": 0.12}, True)
+    wide = {**found, "worst_m": 0.2, "within_m": 0.18}
+    assert "100 mm: the tightest circle that it can follow has a radius of 180 mm" in held(wide, True)
+
+
+def test_a_robot_that_cannot_turn_is_refused() -> None:
+    tables = rig.tables()
+    radius_m = turn_radius_m(tables, "rig")
+    assert hold_radius_m(tables, "rig") == max(0.075, 1.2 * radius_m)
+    straight = tables.transitions.copy()
+    straight[:, :, 2] = 0
+    still = replace(tables, transitions=straight, derivatives=tables.derivatives[:0])
+    with pytest.raises(InputError, match="no action turns the robot 'rig' to the left"):
+        hold_radius_m(still, "rig")
+
+
+def test_walls_too_near_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    walls = PlanConfig(
+        wall_weight_per_m=1.0, wall_x_min_m=-0.1, wall_x_max_m=0.5, wall_y_min_m=-1.0, wall_y_max_m=1.0
+    )
+    with pytest.raises(InputError, match=r"leads up to 44 mm too near to a wall of --inside") as refused:
+        require_room(line(), 0.075, walls)
+    assert "\n" not in str(refused.value)
+    require_room(line(), 0.075, replace(walls, wall_x_max_m=0.55))
+    require_room(line(), 0.075, PlanConfig())
+    done = frogkick(capsys, "run", "--robot", "pool", "--hold", "--inside", "-0.2,-0.3,0.55,0.3")
+    assert done.code == 2 and "--hold: the robot circles the end of 'line'" in done.stderr
+
+
+def test_a_log_in_progress_has_room_for_its_paths(tmp_path: Path, swum: Path) -> None:
+    whole = read_run(swum)
+    options = RunOptions(PlanConfig(), time_limit_s=HOLD_S, hold_m=0.075)
+    assert whole.path is not None
+    with logged(tmp_path / "a.h5", rig.robot(), rig.tables(), options, "test")(whole.path):
+        assert read_run(tmp_path / "a.h5.part").then == ()

@@ -43,6 +43,7 @@ CONFIGS = {
     "walls": dataclasses.replace(
         ROUTE,
         transitions_max=0,
+        glide_weight_per_m=300.0,
         wall_weight_per_m=300.0,
         wall_glide=3.0,
         wall_x_max_m=0.2,

@@ -4,6 +4,10 @@ Errors on the training runs are too low, and a single test run may be an easy on
 run once, so every period is predicted once, by effects that were identified without it. No values of built-in
 robots that were calibrated before are used, because these may have been fitted to the same runs; fits start
 from nominal values. Only the lists of effects and parameters of such robots are used.
+
+How far a model could come is read from pairs of like periods: a misfit of the model at their state is in
+both misses and cancels. Pairs of one run show the scatter of strokes. Pairs of two runs also show what
+differs from run to run, which no model knows beforehand.
 """
 
 from __future__ import annotations
@@ -11,27 +15,35 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
 from frogkick.identification.batching import run_concurrently
+from frogkick.identification.calibrated import end_errors
 from frogkick.identification.outcome import identify, robot_of_runs
+from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments, read_segments, reliable
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick_studies import Found
 from frogkick_studies.configs import Heldout
 
+FloatArray = NDArray[np.float64]
+
 LEAST_RUNS = 3
+
+LIKE = 1.0
+"""Velocities of like periods at their starts differ by less, in standard deviations over all periods."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +56,10 @@ class HeldOut:
         effects: titles of the effects identified from the others.
         before, after: errors one period ahead on this run, nominal and with these effects.
         floor: error that the noise of the fixes alone causes.
+        followed: the same as ``after``, with the drift of limbs tracked within the run as well.
+        periods: (m, 8) of each period its action; the one before (-1: none); velocity at its start: forward,
+            left (m/s), turn rate (rad/s); measured minus predicted pose at its end, by the pose at its
+            start: forward, left (m), heading (rad).
     """
 
     run: Path
@@ -52,6 +68,8 @@ class HeldOut:
     before: PredictionError
     after: PredictionError
     floor: PredictionError
+    followed: PredictionError
+    periods: FloatArray = field(default_factory=lambda: np.empty((0, 8)))
 
 
 def held_out(
@@ -134,8 +152,48 @@ def _test_on(ready: _Ready, index: int) -> HeldOut:
     tested = outcome.tested
     titles = tuple(term.title for term in outcome.terms)
     return HeldOut(
-        ready.runs[index], outcome.verdict, titles, tested.before, tested.after, tested.noise_floor
+        ready.runs[index],
+        outcome.verdict,
+        titles,
+        tested.before,
+        tested.after,
+        tested.noise_floor,
+        tested.after if outcome.followed is None else outcome.followed.after,
+        _periods(outcome.rollouts[0], swims[index]),
     )
+
+
+def _periods(rollout: Rollout, swim: Segments) -> FloatArray:
+    """(m, 8) periods of a run with a known action and a known miss; see ``HeldOut.periods``."""
+    before = np.append([-1], swim.action[:-1])
+    rows = np.column_stack([swim.action, before, rollout.start[:, 3:6], end_errors(rollout, swim)])
+    return np.asarray(rows[np.isfinite(rows).all(axis=1) & (swim.action >= 0)], dtype=np.float64)
+
+
+def scatter(runs: Sequence[FloatArray], same_run: bool) -> PredictionError:
+    """Root mean square deviation of like periods from what they have in common; ``count`` pairs.
+
+    Each period is paired with the one of the same action, after the same action, whose velocity at the start
+    is nearest. Half the squared difference of their misses is variance. It contains the noise of the fixes.
+
+    Args:
+        runs: of each run its periods; see ``HeldOut.periods``.
+        same_run: pair with periods of the same run; else with those of other runs.
+
+    Source: Rice 1984, Bandwidth choice for nonparametric regression (variance by differences of neighbours).
+    """
+    every = np.concatenate(runs)
+    if len(every) < 2:
+        return PredictionError()
+    run = np.repeat(np.arange(len(runs)), [len(rows) for rows in runs])
+    velocity = every[:, 2:5] / np.maximum(every[:, 2:5].std(axis=0), 1e-9)
+    apart = np.sqrt(((velocity[:, None, :] - velocity[None, :, :]) ** 2).sum(axis=2))
+    apart[(every[:, None, :2] != every[None, :, :2]).any(axis=2)] = np.inf
+    apart[(run[:, None] == run[None, :]) != same_run] = np.inf
+    np.fill_diagonal(apart, np.inf)
+    nearest = apart.argmin(axis=1)
+    paired = apart[np.arange(len(every)), nearest] < LIKE
+    return PredictionError.of((every[paired, 5:] - every[nearest[paired], 5:]) / math.sqrt(2.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +219,17 @@ class HeldOutStudy(Found):
         return self._pooled([row.after for row in self.rows])
 
     @property
+    def followed(self) -> PredictionError:
+        """The same with the drift of limbs tracked within each run."""
+        return self._pooled([row.followed for row in self.rows])
+
+    @property
+    def scatter(self) -> dict[str, PredictionError]:
+        """Scatter of like periods: of the same run, and of two runs."""
+        runs = [row.periods for row in self.rows]
+        return {"same_run": scatter(runs, True), "other_runs": scatter(runs, False)}
+
+    @property
     def noise_floor(self) -> PredictionError:
         """Error that the noise of the fixes alone causes."""
         return self._pooled([row.floor for row in self.rows])
@@ -180,7 +249,12 @@ class HeldOutStudy(Found):
         return {
             "before": self.before.as_json(),
             "after": self.after.as_json(),
+            "followed": self.followed.as_json(),
             "noise_floor": self.noise_floor.as_json(),
+            "scatter": {
+                name: {**each.as_json(), "pairs": each.count} if each.count else None
+                for name, each in self.scatter.items()
+            },
             "periods": sum(row.before.count for row in self.rows),
             "runs": [
                 {
@@ -189,6 +263,7 @@ class HeldOutStudy(Found):
                     "effects": list(row.effects),
                     "before": row.before.as_json(),
                     "after": row.after.as_json(),
+                    "followed": row.followed.as_json(),
                     "noise_floor": row.floor.as_json(),
                     "periods": row.before.count,
                 }
@@ -200,10 +275,19 @@ class HeldOutStudy(Found):
     def text(self, values: dict[str, Any]) -> str:
         lines = []
         for name, of in [*((Path(row["run"]).name, row) for row in values["runs"]), ("all", values)]:
-            titles = (("nominal", "before"), ("after", "after"), ("noise floor", "noise_floor"))
+            titles = (
+                ("nominal", "before"),
+                ("after", "after"),
+                ("with drift followed", "followed"),
+                ("noise floor", "noise_floor"),
+            )
             errors = ", ".join(f"{title} {PredictionError(**of[key])}" for title, key in titles)
             found = f"; {of['verdict']}: {', '.join(of['effects']) or 'no effect'}" if "verdict" in of else ""
             lines.append(f"{name}: {errors} over {of['periods']} periods{found}")
+        for name, pairs in (("same_run", "of one run"), ("other_runs", "of two runs")):
+            if like := values["scatter"][name]:
+                error = PredictionError(like["position_rmse_m"], like["heading_rmse_rad"])
+                lines.append(f"scatter of like periods {pairs}: {error} over {like['pairs']} pairs")
         return "\n".join(lines)
 
 

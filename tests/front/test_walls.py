@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.planner import synthetic
 
 import frogkick as fk
 from frogkick.core.errors import InputError
 from frogkick.front.default_tables import default_tables
 from frogkick.front.tables import load_table
-from frogkick.front.walls import MARGIN_M, WALL_WEIGHT_PER_M, glide_of, walled
+from frogkick.front.walls import MARGIN_M, WALL_GLIDE, WALL_WEIGHT_PER_M, walled
 from frogkick.paths import from_waypoints
 from frogkick.planner.plan import PlanConfig, config_of, plan
-from frogkick.tables.image import open_image
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +26,7 @@ def test_walls_stand_as_far_as_the_robot_reaches(table: fk.Table) -> None:
     assert walled(plain, None, table) == plain
     made = walled(plain, "0,-1,2,1", table)
     away_m = np.hypot(0.045, 0.045) + 0.0355 + MARGIN_M
-    assert made.wall_weight_per_m == WALL_WEIGHT_PER_M
+    assert (made.wall_weight_per_m, made.wall_glide) == (WALL_WEIGHT_PER_M, WALL_GLIDE)
     found = (made.wall_x_min_m, made.wall_x_max_m, made.wall_y_min_m, made.wall_y_max_m)
     assert found == pytest.approx((away_m, 2.0 - away_m, away_m - 1.0, 1.0 - away_m))
     assert walled(plain, (0.0, -1.0, 2.0, 1.0), table) == made
@@ -55,17 +52,6 @@ def test_what_are_no_walls(table: fk.Table, inside: object, said: str) -> None:
 def test_the_published_cost_knows_no_walls(table: fk.Table) -> None:
     with pytest.raises(InputError, match="the cost 'route' alone"):
         walled(PlanConfig(), "0,0,1,1", table)
-
-
-def test_a_robot_glides_as_far_as_rest_leaves_it_its_speed() -> None:
-    """Of a table in which a period of rest leaves 0.6 of the speed."""
-    velocity, motion, _ = synthetic.transitions(60, 2, 3)
-    end = np.stack([0.6 * velocity, velocity], axis=1)
-    rows = [("A", 0, 0), ("B", 1, 0)]
-    made = open_image(synthetic.pack(velocity, motion, end, action_rows=rows))
-    assert glide_of(made) == pytest.approx(0.6 / 0.4, rel=0.02)
-    moving = replace(made, actions=made.actions[1:])
-    assert glide_of(moving) == 0.0
 
 
 def test_a_wall_turns_a_plan_away(table: fk.Table) -> None:

@@ -89,7 +89,7 @@ class Weights:
         "route: x how far a branch's end, and where it glides to, lie beyond the walls",
     )] = 0.0  # fmt: skip
     wall_glide: Annotated[float, Weight(
-        "how many times as far as in its last stroke a robot glides until it rests",
+        "how many times as far as in its last stroke a robot is taken to glide on towards a wall",
         "route: x the last motion, by which the robot glides on",
         most=100.0,
     )] = 0.0  # fmt: skip

@@ -10,16 +10,21 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.core.errors import InputError
-from frogkick.estimator.track import resting_action_of
 from frogkick.front.tables import Table
 from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import track_of
-from frogkick.tables.image import Tables
 from frogkick.vision.calibration_file import read_calibration
 
 WALL_WEIGHT_PER_M = 50_000.0
 """Cost of each m beyond a wall: 50 times that of a m beside the path of the built-in robot."""
+
+WALL_GLIDE = 1.0
+"""How many times as far as in its last stroke a robot is taken to glide on towards a wall.
+
+It glides much further until it rests. But it has to turn away long before that, and with the whole way the
+planner rests before a wall, where the robot glides on and does not turn.
+"""
 
 MARGIN_M = 0.005
 """Further away from a wall than the robot reaches: what the soft cost and the fixes leave open."""
@@ -55,7 +60,7 @@ def walled(
     return dataclasses.replace(
         config,
         wall_weight_per_m=WALL_WEIGHT_PER_M,
-        wall_glide=glide_of(table.tables),
+        wall_glide=WALL_GLIDE,
         wall_x_min_m=x_0 + away_m,
         wall_x_max_m=x_1 - away_m,
         wall_y_min_m=y_0 + away_m,
@@ -80,22 +85,6 @@ def _rectangle(inside: str | Sequence[float], fixes: str | None) -> tuple[float,
             "numbers first, or pool"
         )
     return x_0, y_0, x_1, y_1
-
-
-def glide_of(tables: Tables) -> float:
-    """How many times as far as in a period a robot glides until it rests, by the table's own word.
-
-    What a period of rest leaves of the speed is r, fitted over all states: r + r^2 + ... = r / (1 - r). It is
-    0 for a table without an action that rests, which says nothing of it: only ends beyond a wall cost then.
-    """
-    resting = resting_action_of(tables)
-    if resting == len(tables.actions):
-        return 0.0
-    scale = tables.velocity_scale.astype(np.float64)
-    before = tables.states[:, :2] * scale[:2]
-    after = tables.transitions[:, resting, 3:5] * scale[:2]
-    left = float((before * after).sum() / (before * before).sum())
-    return float(np.clip(left / (1.0 - min(left, 0.99)), 0.0, 100.0))
 
 
 def clearance_m(run: RunLog) -> float | None:

@@ -220,6 +220,9 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
             return FK_STATUS_VALUE;
         }
         fk_estimator_learn(&robot->estimator, (uint8_t)value);
+        if (value != (float)FK_LEARN_ON) {
+            fk_estimator_restart(&robot->estimator);
+        }
         return FK_STATUS_OK;
     }
     return set_weight(&robot->plan, parameter, value);

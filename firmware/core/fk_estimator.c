@@ -5,6 +5,12 @@
 void fk_estimator_init(fk_estimator_t *estimator, fk_tables_t *tables, uint8_t learn)
 {
     fk_track_init(&estimator->track, tables, learn);
+    fk_estimator_restart(estimator);
+}
+
+void fk_estimator_restart(fk_estimator_t *estimator)
+{
+    fk_track_restart(&estimator->track);
     for (uint32_t i = 0u; i < FK_FIX_MARKS; ++i) {
         estimator->marks[i] = 0u;
     }

@@ -56,6 +56,9 @@ typedef struct {
 /* tables must outlive the estimator. */
 void fk_estimator_init(fk_estimator_t *estimator, fk_tables_t *tables, uint8_t learn);
 
+/* Forget all but what limbs have lost: a run's estimate hangs on nothing that was before it. */
+void fk_estimator_restart(fk_estimator_t *estimator);
+
 /* Take a fix.
  * @retval 0         taken
  * @retval negative  FK_STATUS_RANGE: not finite or far outside; FK_STATUS_DOUBLE: had before, by sequence and pose;

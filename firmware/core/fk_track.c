@@ -26,6 +26,11 @@ void fk_track_init(fk_track_t *track, fk_tables_t *tables, uint8_t learn)
         }
     }
     track->fire_s = ((float)tables->pulse_us + (float)tables->second_delay_us) * 1e-6f;
+    fk_track_restart(track);
+}
+
+void fk_track_restart(fk_track_t *track)
+{
     fk_covariance_init(&track->covariance[0], &fk_noise_position);
     fk_covariance_init(&track->covariance[1], &fk_noise_heading);
     track->learned = 0u;

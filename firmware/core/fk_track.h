@@ -47,6 +47,9 @@ typedef struct {
 /* tables must outlive the track. learn: FK_LEARN_... */
 void fk_track_init(fk_track_t *track, fk_tables_t *tables, uint8_t learn);
 
+/* Nothing is known any more, but what limbs have lost. */
+void fk_track_restart(fk_track_t *track);
+
 /* Learn what limbs have lost, or not any more. learn: FK_LEARN_..., of which OFF forgets it, and HELD all but the shares. */
 void fk_track_learn(fk_track_t *track, uint8_t learn);
 

@@ -131,6 +131,24 @@ def test_a_run_after_a_reset_goes_on_from_what_was_learned(
     assert own.mismatches == [] and own.decisions[-1].lost == recording.decisions[-1].lost
 
 
+@pytest.mark.parametrize("learn", [False, True])
+def test_a_later_run_hangs_on_none_before_it(learn: bool, images: dict[str, Path]) -> None:
+    """The robot stays on; its own noise and its last fixes are forgotten, and each decision is the host's."""
+    port = port_of("pool", images)
+    session = Session(port)
+    swim(session, FIRST_S, learn)
+    learned = known(session)[1]
+    for pause_s in (1.0, 30.0):
+        session.step(session.time_s + pause_s)
+        session = Session(port, time_s=session.time_s, conversation=session.conversation + 1)
+        recording, check, _ = swim(session, SECOND_S, learn)
+        assert check.unchecked == 0 and check.agreed == len(recording.decisions) > 5
+        assert recording.decisions[0].lost == learned and any(learned) == learn
+        learned = known(session)[1]
+    own = replay_log(fetch_log(session), images["pool"], [tables()])
+    assert own.mismatches == []
+
+
 def test_a_reset_amid_a_stroke_of_the_chip_keeps_what_was_learned_until_then(images: dict[str, Path]) -> None:
     """With what it kept over the reset before that, too; HELD stays HELD."""
     learned = (655, 0, 20_000, 32_767, 0, 0, 0, 0)

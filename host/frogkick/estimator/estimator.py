@@ -95,6 +95,12 @@ class Estimator:
         self.track = Track(self.tables)
         self._marks: deque[tuple[int, bytes]] = deque(maxlen=MARKS)
 
+    def restart(self) -> None:
+        """Forget all but what the limbs have lost, as a robot does that is told LEARN OFF or HELD."""
+        self.track.restart()
+        self.restarts, self._newest, self._outliers, self._fixes = 0, None, [], 0
+        self._marks.clear()
+
     @property
     def newest_capture_us(self) -> int | None:
         """Capture time of the newest accepted fix; None while no state is known."""

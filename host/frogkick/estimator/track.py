@@ -126,6 +126,12 @@ class Track:
         self._per_velocity = _F(1) / np.asarray(self.tables.velocity_scale, dtype=np.float32)
         self.resting_action = resting_action_of(self.tables)
         self._fire_s = (_F(self.tables.pulse_us) + _F(self.tables.second_delay_us)) * _MICROSECOND
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all but what the limbs have lost."""
+        self.instants = []
+        self.process_noise = _PROCESS_NOISE.copy()
         self._predicted = np.zeros(3, dtype=np.float32)
         self._predicted_variance = np.zeros(2, dtype=np.float32)
         self._learned = 0

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from frogkick.estimator.follow import End, Follow
+from frogkick.estimator.wear import ON
 from frogkick.link.frames import PATH_POINTS_MAX
 from frogkick.link.layout import link_layout
 from frogkick.link.log import Record
@@ -39,6 +40,7 @@ class ChipTwin(DecisionTwin):
         """
         state = read_state(snapshot, tables)
         super().__init__(tables, state.points, state.config, state.estimator)
+        self._own = state.estimator
         self._follow.along_points, self._follow._mark = state.along_points, state.mark
         self._follow._idle = state.idle
         self.decisions: list[Decision] = []
@@ -139,6 +141,8 @@ class ChipTwin(DecisionTwin):
         name = next(name for name, number in _LAYOUT.parameter.items() if number == parameter)
         if name == "LEARN":
             self._track.learn(int(value))
+            if value != ON:
+                self._own.restart()
         elif name == "PERIOD_US":
             self._period_us = int(value)
         elif name in ("PLAN_TIME_US", "TRANSITIONS_MAX"):

@@ -228,6 +228,7 @@ class _Run:
     keep: Callable[[Recording], None]
     recording: Recording = field(default_factory=Recording)
     may_be_armed: bool = False
+    _is_configured: bool = False
     _unanswered: dict[int, int] = field(default_factory=dict)  # sequence of a FIX -> row in recording.fixes
     _late_answers: int = 0
     _stopped: bool = False
@@ -247,6 +248,7 @@ class _Run:
         lost = configure(session, options.config, options.learn and options.onboard)
         if options.check is not None:
             options.check.begin(self.tables, self.path, options.config, options.learn, lost)
+        self._is_configured = True
         session.send_path(self.path)
         self.may_be_armed = True
         try:
@@ -405,7 +407,8 @@ class _Run:
         for edge in edges:
             if edge.level:
                 self.source.actuate(edge.limb, edge.time_s)
-        for fix in self.source.advance(until_s):
+        fixes = self.source.advance(until_s)
+        for fix in fixes if self._is_configured else ():  # the robot forgets the others, and no twin has them
             recording = self.recording
             # An arrival is a sum of floats: it may lie a rounding error behind the one before.
             at_s = max(until_s, fix.arrival_s, *recording.sent_s[-1:])

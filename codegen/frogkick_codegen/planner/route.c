@@ -207,15 +207,38 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
     route->ahead = (projection->held != 0U) ? 0U : FK_ROUTE_AHEAD;
 }
 
-int32_t fk_route_is_still(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state)
+static int32_t fk_is_still(const fk_route_t *route, const fk_state_t *state, float period_s)
 {
-    const float period_s = (float)tables->period_us * 1e-6f;
     const float speed2 = state->vx_mps * state->vx_mps + state->vy_mps * state->vy_mps;
     const float turn_rad = state->omega_rad_s * period_s;
 
     /* Speeds may be of any size: an infinite product is not still. */
     return ((speed2 * (period_s * period_s) <= route->step_m * route->step_m) && (turn_rad <= FK_ROUTE_STILL_RAD)
             && (turn_rad >= -FK_ROUTE_STILL_RAD))
+             ? 1
+             : 0;
+}
+
+int32_t fk_route_may_rest(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state)
+{
+    const float period_s = (float)tables->period_us * 1e-6f;
+    const float ahead_s = FK_ROUTE_WALL_PERIODS * period_s;
+    float sine;
+    float cosine;
+    float x_m;
+    float y_m;
+
+    if (fk_is_still(route, state, period_s) != 0) {
+        return 0;
+    }
+    if (!(route->wall_weight_per_m > 0.0f)) {
+        return 1;
+    }
+    fk_sincos(fk_wrap_angle(state->heading_rad), &sine, &cosine);
+    x_m = state->x_m + ahead_s * (cosine * state->vx_mps - sine * state->vy_mps);
+    y_m = state->y_m + ahead_s * (sine * state->vx_mps + cosine * state->vy_mps);
+    return ((x_m >= route->wall_min_m[0]) && (x_m <= route->wall_max_m[0]) && (y_m >= route->wall_min_m[1])
+            && (y_m <= route->wall_max_m[1]))
              ? 1
              : 0;
 }

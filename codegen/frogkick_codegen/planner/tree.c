@@ -200,7 +200,7 @@ static void fk_search_begin(fk_search_t *search, uint32_t levels)
     }
 }
 
-/* First actions that are not candidates: with the route cost those that fire nothing, where the robot is at rest. To
+/* First actions that are not candidates: with the route cost those that fire nothing, where the robot may not rest. To
  * rest from rest changes nothing, so the next decision would be the same one and the robot would rest for ever. They
  * stay where the table holds nothing else. */
 static uint32_t fk_excluded(const fk_search_t *search, const fk_state_t *state)
@@ -211,7 +211,7 @@ static uint32_t fk_excluded(const fk_search_t *search, const fk_state_t *state)
     uint32_t action;
 
     if ((search->config->cost != (uint8_t)FK_COST_ROUTE)
-        || (fk_route_is_still(search->tables, &search->route, state) == 0)) {
+        || (fk_route_may_rest(search->tables, &search->route, state) != 0)) {
         return 0U;
     }
     for (action = 0U; action < search->tables->actions; action++) {

@@ -398,7 +398,7 @@ def plan_one(
     for limb in range(len(limb_use)):
         search.dynamics[0, 3 + limb] = limb_use[limb]
     search.rows[0] = find_row(table, search.dynamics[0])
-    moves = not route.is_still(state, spacing, table.period_s[0])
+    moves = route.may_rest(settings, state, spacing, table.period_s[0])
     numbers[1], numbers[4] = search_levels(search, depth, moves)
     numbers[2] = search.rows[0]
     numbers[5] = search.best[1]

@@ -29,6 +29,7 @@ import numpy.typing as npt
 from numba import njit
 
 from frogkick.core.compiled import BARE, INNER
+from frogkick.planner.floats import sincos, wrap_angle
 
 Array = npt.NDArray[Any]
 
@@ -41,6 +42,8 @@ BEHIND = 2
 KNOTS_MAX = 80
 STROKE_MIN_M = np.float32(1e-4)
 STILL_RAD = np.float32(0.125)
+WALL_PERIODS = np.float32(4)
+"""A robot that is nearer to a wall than this, by its speed, turns and does not rest."""
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
@@ -63,6 +66,26 @@ def is_still(state: Array, step: np.float32, period: np.float32) -> bool:
     speed2 = state[3] * state[3] + state[4] * state[4]
     turn = state[5] * period
     return bool(speed2 * (period * period) <= step * step and abs(turn) <= STILL_RAD)
+
+
+@njit(**INNER)
+def may_rest(settings: Any, state: Array, step: np.float32, period: np.float32) -> bool:
+    """Whether a robot in a state (6,) may rest: not at rest, and not if it nears a wall.
+
+    Near is WALL_PERIODS by its speed: it would glide into the wall without turning.
+    """
+    if is_still(state, step, period):
+        return False
+    if not settings.wall_weight_per_m > _F0:
+        return True
+    sine, cosine = sincos(wrap_angle(state[2]))
+    ahead = WALL_PERIODS * period
+    x = state[0] + ahead * (cosine * state[3] - sine * state[4])
+    y = state[1] + ahead * (sine * state[3] + cosine * state[4])
+    return bool(
+        settings.wall_x_min_m <= x <= settings.wall_x_max_m
+        and settings.wall_y_min_m <= y <= settings.wall_y_max_m
+    )
 
 
 @njit(**INNER)

@@ -17,7 +17,7 @@ from frogkick.runs.summary import track_of
 from frogkick.vision.calibration_file import read_calibration
 
 WALL_WEIGHT_PER_M = 50_000.0
-"""Cost of each m beyond a wall: 50 times that of a m beside the path of the built-in robot."""
+"""Cost of each m beyond a wall: some 50 times that of a m beside the path of the built-in robot."""
 
 WALL_GLIDE = 2.0
 """How many times as far as in its last stroke a robot is taken to glide on towards a wall.

@@ -132,9 +132,7 @@ def test_a_mismatch_is_a_check_that_failed(
     monkeypatch.setattr(
         LiveCheck,
         "begin",
-        lambda self, tables, path, _config, _learn: begin(
-            self, tables, path, PlanConfig(angle_weight_per_rad=51.0)
-        ),
+        lambda self, tables, path, *_others: begin(self, tables, path, PlanConfig(angle_weight_per_rad=51.0)),
     )
     options = ["--tables", rig.small_table(), "--robot", "pool", "--path", "sine", "--simulated-time", "6"]
     told = frogkick(capsys, "run", *options, "--plan", "both", "--json")

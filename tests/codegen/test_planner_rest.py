@@ -1,4 +1,7 @@
-"""A robot that lies still does not choose to rest: that changes nothing, so it would rest for ever."""
+"""When a robot may choose to rest.
+
+Lying still it may not: that changes nothing, so it would rest for ever. Nearing a wall it may not either.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,12 @@ FIRES = [("A", 0, 0), ("B", 1, 0), ("C", 0, 0), ("D", 0, 4), ("E", 2, 1)]
 STILL_ROWS = [(name, 0, 0) for name, _, _ in FIRES]
 
 
+PLACES = np.random.default_rng(3).uniform([-0.05, -0.3, -math.pi], [0.2, 0.3, math.pi], (200, 3))
+
+
 def decided(image: bytes, config: PlanConfig, *velocities: tuple[float, float, float]) -> list[int]:
     """Actions of the C, which are the twin's, from all around the path's start, at velocities."""
-    rng = np.random.default_rng(3)
-    places = rng.uniform([-0.05, -0.3, -math.pi], [0.2, 0.3, math.pi], (200, 3))
-    states = np.array([[*place, *speed] for speed in velocities for place in places], dtype=np.float32)
+    states = np.array([[*place, *speed] for speed in velocities for place in PLACES], dtype=np.float32)
     given = (PATH, config, states, np.zeros((len(states), 8), np.uint16), np.zeros(len(states), np.float32))
     told = c_plan(image, *given)
     assert told == twin_plan(image, *given)
@@ -66,6 +70,27 @@ def test_speed_counts_in_any_direction_and_any_size() -> None:
     speed = 0.9 * float(open_image(image).stroke_max_m) / 8 / PERIOD_S
     for velocity in ((speed, speed, 0.0), (3e38, 0.0, 0.0), (0.0, -3e38, 0.0), (0.0, 0.0, 3e38)):
         assert {0, 2} & set(decided(image, CONFIG, velocity))
+
+
+def test_where_its_speed_leads_beyond_a_wall_within_four_periods_it_may_not_rest() -> None:
+    """The walls' cost is next to nothing here: they change which actions are candidates, and nothing else."""
+    low, high = np.array([-0.15, -0.35]), np.array([0.3, 0.35])
+    walls = dict(
+        zip(("wall_x_min_m", "wall_y_min_m", "wall_x_max_m", "wall_y_max_m"), (*low, *high), strict=True)
+    )
+    config = dataclasses.replace(CONFIG, wall_weight_per_m=1e-6, **walls)
+    speed = 0.05
+    ahead_m = 4.0 * PERIOD_S * speed * np.stack([np.cos(PLACES[:, 2]), np.sin(PLACES[:, 2])], axis=1)
+    there = PLACES[:, :2] + ahead_m
+    beyond = np.hstack([there < low - 1e-4, there > high + 1e-4])
+    assert beyond.any(axis=0).all(), "towards each of the four"
+    inside = ((there > low + 1e-4) & (there < high - 1e-4)).all(axis=1)
+    rests = np.isin(decided(table(FIRES), config, (speed, 0.0, 0.0)), (0, 2))
+    free = np.isin(decided(table(FIRES), CONFIG, (speed, 0.0, 0.0)), (0, 2))
+    assert not rests[beyond.any(axis=1)].any() and free[beyond.any(axis=1)].any()
+    assert (rests[inside] == free[inside]).all() and rests[inside].any()
+    for velocity in ((3e38, 0.0, 0.0), (3e38, -3e38, 0.0), (0.0, 3e38, 0.0)):
+        assert not {0, 2} & set(decided(table(FIRES), config, velocity))
 
 
 def test_a_table_that_can_only_rest_rests() -> None:

@@ -22,7 +22,7 @@ WALL_WEIGHT_PER_M = 50_000.0
 WALL_GLIDE = 2.0
 """How many times as far as in its last stroke a robot is taken to glide on towards a wall.
 
-It glides nearly twice as far until it rests, but it has to turn away before that.
+It glides further until it rests, but it has to turn away before that.
 """
 
 MARGIN_M = 0.005

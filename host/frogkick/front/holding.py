@@ -12,7 +12,7 @@ from frogkick.paths import Path
 from frogkick.paths.hold import hold_at_end
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.holding import HOLD_LIMIT_M, hold_spans
+from frogkick.runs.holding import HOLD_LIMIT_M, spans_of
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import track_of
 from frogkick.tables.image import Tables
@@ -90,7 +90,7 @@ def hold_json(run: RunLog) -> dict[str, float] | None:
         ``from_s``, when it came to the first circle, since the first decision; ``worst_m`` and ``mean_m``,
         the distance from the end from then on; ``within_m``, the radius of the circle; ``limit_m``.
     """
-    spans = hold_spans(run)
+    spans = spans_of(run)
     if not spans:
         return None
     time_s, poses, _ = track_of(run)

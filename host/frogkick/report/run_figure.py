@@ -13,7 +13,7 @@ from matplotlib.patches import Circle
 
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
-from frogkick.runs.holding import HOLD_LIMIT_M, hold_spans
+from frogkick.runs.holding import HOLD_LIMIT_M, spans_of
 from frogkick.runs.record import distances_m, learned_limbs
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import residual, track_of, true_poses_at
@@ -114,7 +114,7 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
             fontsize=7,
             color=seen.colour,
         )
-    for x_m, y_m in sorted({end_m for _, _, end_m in hold_spans(run)}):
+    for x_m, y_m in sorted({end_m for _, _, end_m in spans_of(run)}):
         limit = Circle((100.0 * x_m, 100.0 * y_m), 100.0 * HOLD_LIMIT_M, fill=False, color=style.ALARM)
         limit.set(linestyle=":", label=f"within {1e3 * HOLD_LIMIT_M:.0f} mm of the end")
         axes.add_patch(limit)

@@ -6,11 +6,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frogkick.paths import Path
 from frogkick.paths.hold import LAP_POINTS, LEAD, Hold, hold_at_end
 from frogkick.runs.decision import STALE, Decision
 from frogkick.runs.runlog import PathChange, RunLog
+
+FloatArray = NDArray[np.float64]
 
 HOLD_LIMIT_M = 0.1
 """From the end of a path: a robot that holds there shall stay as near."""
@@ -70,26 +73,19 @@ class Holding:
             self.began = self.began or decision.path_index >= self._circle_point
 
 
-def holds_from(changes: Sequence[PathChange], path_index: Sequence[int]) -> int | None:
-    """The first decision on a circle, by the path index of each decision; None: there is none."""
-    for number, change in enumerate(changes):
-        last = changes[number + 1].decision if number + 1 < len(changes) else len(path_index)
-        if change.hold is not None:
-            for decision in range(change.decision, last):
-                if path_index[decision] >= change.hold[2]:
-                    return decision
-    return None
+def hold_spans(
+    time_s: FloatArray, path_index: Sequence[int], changes: Sequence[PathChange]
+) -> list[tuple[float, float, tuple[float, float]]]:
+    """Begin and end of each time on a circle, s, and the end that it is about.
 
-
-def hold_spans(run: RunLog) -> list[tuple[float, float, tuple[float, float]]]:
-    """Begin and end of each time on a circle, s, and the end that it is about."""
-    index = run.decisions.extra.get("path_index")
-    if index is None:
-        return []
-    time_s = run.decisions.time_s
+    Args:
+        time_s, path_index: of each decision.
+        changes: the paths that took over.
+    """
+    index = np.asarray(path_index)
     spans: list[tuple[float, float, tuple[float, float]]] = []
     goes_on = False
-    for change, following in zip(run.then, (*run.then[1:], None), strict=False):
+    for change, following in zip(changes, (*changes[1:], None), strict=False):
         if change.hold is None:
             goes_on = False
             continue
@@ -101,3 +97,9 @@ def hold_spans(run: RunLog) -> list[tuple[float, float, tuple[float, float]]]:
             spans.append((float(time_s[on[0]]), until_s, change.hold[:2]))
             goes_on = True
     return spans
+
+
+def spans_of(run: RunLog) -> list[tuple[float, float, tuple[float, float]]]:
+    """``hold_spans`` of a run; a log without places on its path has none."""
+    index = run.decisions.extra.get("path_index")
+    return [] if index is None else hold_spans(run.decisions.time_s, index.tolist(), run.then)

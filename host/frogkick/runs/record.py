@@ -26,7 +26,7 @@ from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import NOTHING_LOST, Decision
-from frogkick.runs.holding import holds_from
+from frogkick.runs.holding import hold_spans
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
@@ -296,15 +296,11 @@ def tracking_of_recording(recording: Recording, pool: Pool | None, robot: Robot,
     during = (time_s >= recording.first_decision_s) & (time_s <= recording.end_s)
     plan_ms = [d.plan_us * 1e-3 for d in recording.decisions if d.status == 0]
     pulses = pulses_of(recording.edges, recording.end_s)
-    paths = [(-np.inf, path)]
-    for change in recording.then:
-        after_us = recording.decisions[change.decision].scheduled_us - recording.decisions[0].scheduled_us
-        paths.append((recording.first_decision_s + 1e-6 * after_us, change.path))
-    first = holds_from(recording.then, [d.path_index for d in recording.decisions])
-    holds_s = np.inf
-    if first is not None:
-        after_us = recording.decisions[first].scheduled_us - recording.decisions[0].scheduled_us
-        holds_s = recording.first_decision_s + 1e-6 * after_us
+    after_us = [d.scheduled_us - recording.decisions[0].scheduled_us for d in recording.decisions]
+    decided_s = recording.first_decision_s + 1e-6 * np.array(after_us, dtype=np.float64)
+    paths = [(-np.inf, path)] + [(float(decided_s[one.decision]), one.path) for one in recording.then]
+    held = hold_spans(decided_s, [d.path_index for d in recording.decisions], recording.then)
+    holds_s = held[0][0] if held else np.inf
     mean_m, p95_m, progress_mps = along_paths(paths, time_s[during], poses[during], holds_s)
     return Tracking(
         mean_distance_m=mean_m,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
-from frogkick.runs.holding import hold_spans
+from frogkick.runs.holding import spans_of
 from frogkick.runs.record import BATTERY_V, Tracking, along_paths
 from frogkick.runs.runlog import RunLog
 
@@ -198,7 +198,7 @@ def summary(run: RunLog) -> Summary:
     time_s, poses, of = track_of(run)
     distances: tuple[float | None, float | None, float | None] = (None, None, None)
     if run.path is not None:
-        spans = hold_spans(run)
+        spans = spans_of(run)
         distances = along_paths(run.paths, time_s, poses, spans[0][0] if spans else math.inf)
     known = run.decisions.predicted is not None and run.truth is not None
     error = residual(run).error if known else None

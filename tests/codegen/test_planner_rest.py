@@ -1,6 +1,6 @@
 """When a robot may choose to rest.
 
-Lying still it may not: that changes nothing, so it would rest for ever. Nearing a wall it may not either.
+Slow it may not: at rest that changes nothing, so it would rest for ever. Nearing a wall it may not either.
 """
 
 from __future__ import annotations
@@ -52,24 +52,26 @@ def test_from_rest_it_moves_at_any_depth_and_within_any_budget(depth: int, limit
     assert set(actions) and not rests & set(actions)
 
 
-@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("turn_rad_s", [0.0, 3.0])
+@pytest.mark.parametrize("axis", range(2))
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_while_it_moves_it_may_rest(axis: int, sign: float) -> None:
-    """Beyond an eighth of a reach in a period, or an eighth of a radian."""
+def test_while_it_moves_it_may_rest(axis: int, sign: float, turn_rad_s: float) -> None:
+    """Beyond three eighths of a reach in a period, whether it turns or not."""
     image = table(FIRES)
-    step = float(open_image(image).stroke_max_m) / 8 if axis < 2 else 0.125
+    reach_m = float(open_image(image).stroke_max_m)
     for part, may_rest in ((0.99, False), (1.01, True)):
-        speed = [0.0, 0.0, 0.0]
-        speed[axis] = sign * part * step / PERIOD_S
+        speed = [0.0, 0.0, turn_rad_s]
+        speed[axis] = sign * part * 0.375 * reach_m / PERIOD_S
         actions = decided(image, CONFIG, (speed[0], speed[1], speed[2]))
         assert bool({0, 2} & set(actions)) is may_rest
 
 
 def test_speed_counts_in_any_direction_and_any_size() -> None:
     image = table(FIRES)
-    speed = 0.9 * float(open_image(image).stroke_max_m) / 8 / PERIOD_S
-    for velocity in ((speed, speed, 0.0), (3e38, 0.0, 0.0), (0.0, -3e38, 0.0), (0.0, 0.0, 3e38)):
+    speed = 0.9 * 0.375 * float(open_image(image).stroke_max_m) / PERIOD_S
+    for velocity in ((speed, speed, 0.0), (3e38, 0.0, 0.0), (0.0, -3e38, 0.0)):
         assert {0, 2} & set(decided(image, CONFIG, velocity))
+    assert not {0, 2} & set(decided(image, CONFIG, (0.0, 0.0, 3e38)))
 
 
 def test_where_its_speed_leads_beyond_a_wall_within_four_periods_it_may_not_rest() -> None:

@@ -11,7 +11,7 @@
 #define FK_ROUTE_KNOTS_MAX 80U
 #define FK_ROUTE_STROKE_MIN_M 1e-4f
 #define FK_ROUTE_WALL_PERIODS 4.0f /* a robot that is nearer to a wall than this, by its speed, turns and does not rest */
-#define FK_ROUTE_STILL_RAD 0.125f /* 7 degrees in a period: far beyond what noise makes of rest */
+#define FK_ROUTE_SLOW_STEPS 3.0f   /* a robot that moves fewer steps than these in a period is slow, and does not rest */
 
 /* A place of the route and its direction there. */
 typedef struct {
@@ -61,9 +61,9 @@ void fk_route_project(const fk_path_t *path, float stroke_max_m, float along_poi
 void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float stroke_max_m,
                       const fk_projection_t *projection, fk_route_t *route);
 
-/* 1 where a robot may rest. 0 at rest: within a period it moves less than a step between knots and turns less than
- * FK_ROUTE_STILL_RAD. 0 also where its speed leads it beyond a wall within FK_ROUTE_WALL_PERIODS: it would glide into
- * the wall without turning. */
+/* 1 where a robot may rest. 0 where it is slow, by FK_ROUTE_SLOW_STEPS. At rest that changes nothing, so it would rest
+ * for ever; and beside a path that it cannot follow any stroke costs more than to stay. 0 also where its speed leads
+ * it beyond a wall within FK_ROUTE_WALL_PERIODS: it would glide into the wall without turning. */
 int32_t fk_route_may_rest(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state);
 
 /* Length that scales a route: the table's longest stroke, at least FK_ROUTE_STROKE_MIN_M. */

@@ -207,28 +207,19 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
     route->ahead = (projection->held != 0U) ? 0U : FK_ROUTE_AHEAD;
 }
 
-static int32_t fk_is_still(const fk_route_t *route, const fk_state_t *state, float period_s)
-{
-    const float speed2 = state->vx_mps * state->vx_mps + state->vy_mps * state->vy_mps;
-    const float turn_rad = state->omega_rad_s * period_s;
-
-    /* Speeds may be of any size: an infinite product is not still. */
-    return ((speed2 * (period_s * period_s) <= route->step_m * route->step_m) && (turn_rad <= FK_ROUTE_STILL_RAD)
-            && (turn_rad >= -FK_ROUTE_STILL_RAD))
-             ? 1
-             : 0;
-}
-
 int32_t fk_route_may_rest(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state)
 {
     const float period_s = (float)tables->period_us * 1e-6f;
     const float ahead_s = FK_ROUTE_WALL_PERIODS * period_s;
+    const float slow_m = FK_ROUTE_SLOW_STEPS * route->step_m;
+    const float speed2 = state->vx_mps * state->vx_mps + state->vy_mps * state->vy_mps;
     float sine;
     float cosine;
     float x_m;
     float y_m;
 
-    if (fk_is_still(route, state, period_s) != 0) {
+    /* Speeds may be of any size: an infinite product is not slow. */
+    if (speed2 * (period_s * period_s) <= slow_m * slow_m) {
         return 0;
     }
     if (!(route->wall_weight_per_m > 0.0f)) {

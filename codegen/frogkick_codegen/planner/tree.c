@@ -200,9 +200,8 @@ static void fk_search_begin(fk_search_t *search, uint32_t levels)
     }
 }
 
-/* First actions that are not candidates: with the route cost those that fire nothing, where the robot may not rest. To
- * rest from rest changes nothing, so the next decision would be the same one and the robot would rest for ever. They
- * stay where the table holds nothing else. */
+/* First actions that are not candidates: with the route cost those that fire nothing, where the robot may not rest.
+ * They stay where the table holds nothing else. */
 static uint32_t fk_excluded(const fk_search_t *search, const fk_state_t *state)
 {
     const uint8_t *row = search->tables->action_rows; /* name, first mask, second mask, 0 */

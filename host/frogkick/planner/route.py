@@ -8,7 +8,8 @@ It is the twin of route.c, written from these rules:
 - From the projection a route is laid out: knots at equal steps along the polyline, straight on beyond both of
   its ends. A pose belongs to the nearest of every third knot that one motion can reach, or to a neighbour of
   it, and its deviation from that knot is split along and across the route's direction there.
-- A robot at rest does not choose to rest: that changes nothing, so it would rest for ever.
+- A robot that is slow does not choose to rest. At rest that changes nothing, so it would rest for ever; and
+  beside a path that it cannot follow any stroke costs more than to stay.
 - Stage cost of a motion: the Huber loss of its end's distance from the route (Huber 1964; the quadratic part
   ends at ``soft_distance_m``), and the shortfall of its advance against the table's longest stroke.
 - Terminal cost of a branch: how far the robot points away from the route's place a look-ahead further on, the
@@ -41,7 +42,8 @@ BEHIND = 2
 """Knots of the route behind where it begins."""
 KNOTS_MAX = 80
 STROKE_MIN_M = np.float32(1e-4)
-STILL_RAD = np.float32(0.125)
+SLOW_STEPS = np.float32(3)
+"""A robot that moves fewer steps than these in a period is slow, and does not rest."""
 WALL_PERIODS = np.float32(4)
 """A robot that is nearer to a wall than this, by its speed, turns and does not rest."""
 
@@ -61,20 +63,15 @@ def stroke_scale(stroke_max_m: np.float32) -> Any:
 
 
 @njit(**INNER)
-def is_still(state: Array, step: np.float32, period: np.float32) -> bool:
-    """Whether a state (6,) is at rest: within a period it moves less than a step and hardly turns."""
-    speed2 = state[3] * state[3] + state[4] * state[4]
-    turn = state[5] * period
-    return bool(speed2 * (period * period) <= step * step and abs(turn) <= STILL_RAD)
-
-
-@njit(**INNER)
 def may_rest(settings: Any, state: Array, step: np.float32, period: np.float32) -> bool:
-    """Whether a robot in a state (6,) may rest: not at rest, and not if it nears a wall.
+    """Whether a robot in a state (6,) may rest: not if it is slow, and not if it nears a wall.
 
-    Near is WALL_PERIODS by its speed: it would glide into the wall without turning.
+    Slow is fewer than SLOW_STEPS in a period. Near is WALL_PERIODS by its speed: it would glide into the wall
+    without turning.
     """
-    if is_still(state, step, period):
+    slow = SLOW_STEPS * step
+    speed2 = state[3] * state[3] + state[4] * state[4]
+    if speed2 * (period * period) <= slow * slow:
         return False
     if not settings.wall_weight_per_m > _F0:
         return True

@@ -14,8 +14,11 @@ import frogkick as fk
 from frogkick.core.errors import InputError
 from frogkick.front.holding import held, hold_json, hold_radius_m, require_room, turn_radius_m
 from frogkick.paths import line
+from frogkick.paths.hold import LAP_POINTS
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import RunOptions
+from frogkick.runs.decision import Decision
+from frogkick.runs.holding import AGAIN_POINTS, SHIFT_GAIN, SHIFT_MAX_M, Holding
 from frogkick.runs.live_log import logged
 from frogkick.runs.runlog_file import read_run
 
@@ -69,6 +72,42 @@ def test_a_later_path_ends_the_hold_and_is_held_at_its_own_end() -> None:
     assert kinds[0] is False and kinds.count(True) == 1
     assert [one["path"] for one in run.as_json()["then"]] == ["line"]
     assert hold_json(run) is not None
+
+
+def test_laps_are_moved_against_what_carries_the_robot_away() -> None:
+    """A robot that keeps 20 mm beside wherever its path leads: its circle comes to lie about the end."""
+    path, drift_m = line(), np.array([0.02, -0.01])
+    holding = Holding(path, 0.075)
+    sent = holding.due([Decision(0, 0, 0, path_index=len(path) - 1)])
+    assert sent is not None
+    off_m = []
+    for _ in range(6):
+        told = holding.followed(sent)
+        assert told is not None
+        end_m, begin = np.array(told[:2]), told[2]
+        assert np.allclose(end_m, path.points_m[-1])
+        places = sent.points_m[begin : begin + LAP_POINTS] + drift_m
+        off_m.append(float(np.hypot(*(places.mean(axis=0) - end_m))))
+        for index in range(begin, begin + LAP_POINTS + AGAIN_POINTS + 1):
+            estimate = np.zeros(6, dtype=np.float32)
+            estimate[:2] = sent.points_m[index] + drift_m
+            along = np.float32(index)
+            decision = Decision(0, 0, 0, path_index=index, along_points=along, estimate=estimate)
+            holding.decided(decision)
+            again = holding.due([decision])
+            assert (again is not None) is (index == begin + LAP_POINTS + AGAIN_POINTS)
+        assert again is not None
+        sent = again
+    assert off_m[0] == pytest.approx(np.hypot(*drift_m), abs=1e-6)
+    assert off_m[1] == pytest.approx((1.0 - SHIFT_GAIN) * off_m[0], rel=0.02) and off_m[-1] < 1e-3
+    # However far it is carried away, the centre stays near.
+    holding.followed(sent)
+    carried = replace(decision, path_index=LAP_POINTS + AGAIN_POINTS, estimate=estimate + np.float32(1.0))
+    holding.decided(carried)
+    far = holding.due([carried])
+    assert far is not None
+    centre_m = far.points_m[:LAP_POINTS].mean(axis=0)
+    assert np.hypot(*(centre_m - path.points_m[-1])) == pytest.approx(SHIFT_MAX_M, abs=1e-6)
 
 
 def test_without_it_a_run_says_nothing_of_it() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.paths import Path
-from frogkick.paths.hold import hold_at_end
+from frogkick.paths.hold import LAP_POINTS, hold_at_end
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.holding import HOLD_LIMIT_M, spans_of
@@ -103,7 +103,8 @@ def hold_json(run: RunLog) -> dict[str, float] | None:
         return None
     circle = [change for change in run.then if change.hold][-1]
     assert circle.hold is not None
-    radii_m = np.hypot(*(circle.path.points_m[circle.hold[2] :] - circle.hold[:2]).T)
+    lap_m = circle.path.points_m[circle.hold[2] :][:LAP_POINTS]
+    radii_m = np.hypot(*(lap_m - lap_m.mean(axis=0)).T)
     return {
         "from_s": round(spans[0][0] - float(run.decisions.time_s[0]), 6),
         "worst_m": float(away_m.max()),

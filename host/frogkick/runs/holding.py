@@ -18,11 +18,18 @@ FloatArray = NDArray[np.float64]
 HOLD_LIMIT_M = 0.1
 """From the end of a path: a robot that holds there shall stay as near."""
 AGAIN_POINTS = 2
-"""Points behind the circle's begin at which laps are sent again: the robot goes on in their first lap."""
+"""Points of its second lap after which a robot is sent laps again: it goes on in their first lap."""
+SHIFT_GAIN = 0.7
+"""Share of how far the last lap's circle lay beside the end by which the next laps are moved against it."""
+SHIFT_MAX_M = 0.08
+"""Largest distance of a circle's centre from the end."""
 
 
 class Holding:
-    """Sends a join and laps before a path ends, and laps again before they end.
+    """Sends a join and laps before a path ends, and laps again after each lap.
+
+    A current or a worn limb carries the robot away from its circle. So laps are moved against the mean
+    offset of the lap before (an integral controller).
 
     Attributes:
         began: the robot has come to the circle about the end of its path.
@@ -31,6 +38,7 @@ class Holding:
     def __init__(self, path: Path, radius_m: float) -> None:
         """Begin with a run's first path; the circle's radius is in m."""
         self._radius_m = radius_m
+        self._shift_m = np.zeros(2)
         self._follow(path)
 
     def _follow(self, path: Path) -> None:
@@ -42,6 +50,8 @@ class Holding:
         is_short = self._hold.leave_m > along_m[-1]
         self._send_at = 0 if is_short else int(np.searchsorted(along_m, early_m))
         self._circle_point: int | None = None
+        self._laps = self._hold.laps
+        self._beside_m: list[FloatArray] = []  # the robot's offset from its place on the path, in a lap
         self._is_sent = self.began = False
 
     def due(self, decisions: Sequence[Decision]) -> Path | None:
@@ -51,26 +61,36 @@ class Holding:
         if decisions[-1].path_index < self._send_at:
             return None
         self._is_sent = True
-        return self._hold.entry if self._circle_point is None else self._hold.laps
+        if self._circle_point is None:
+            return self._hold.entry
+        shift_m = self._shift_m - SHIFT_GAIN * (self._shift_m + np.mean(self._beside_m, axis=0))
+        self._shift_m = shift_m * min(1.0, SHIFT_MAX_M / max(float(np.hypot(*shift_m)), SHIFT_MAX_M))
+        self._laps = self._hold.laps.place((*self._shift_m.tolist(), 0.0))
+        return self._laps
 
     def followed(self, path: Path) -> tuple[float, float, int] | None:
         """Take note that a path has taken over; return what a log says of one that holds, else None."""
         if path is self._hold.entry:
             self._circle_point = self._hold.circle_point
-        elif path is self._hold.laps:
+        elif path is self._laps:
             self._circle_point = 0
         else:
             self._follow(path)
             return None
-        laps = (len(path) - 1 - LAP_POINTS // 2 - self._circle_point) // LAP_POINTS
-        self._send_at = self._circle_point + laps * LAP_POINTS + AGAIN_POINTS
+        self._send_at = self._circle_point + LAP_POINTS + AGAIN_POINTS
+        self._circle, self._beside_m = path.points_m, []
         self._is_sent = False
         return (*self._hold.end_m, self._circle_point)
 
     def decided(self, decision: Decision) -> None:
         """Take note of a decision: the hold begins where the robot comes to the circle."""
-        if self._circle_point is not None and decision.status != STALE:
-            self.began = self.began or decision.path_index >= self._circle_point
+        if self._circle_point is None or decision.status == STALE:
+            return
+        if decision.path_index >= self._circle_point:
+            self.began = True
+            at = np.arange(len(self._circle))
+            place = [np.interp(decision.along_points, at, column) for column in self._circle.T]
+            self._beside_m.append(decision.estimate[:2] - place)
 
 
 def hold_spans(

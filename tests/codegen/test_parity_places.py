@@ -162,8 +162,8 @@ def test_a_whole_loop_is_the_same_everywhere(built: Built, config: str, depth: i
 @pytest.mark.parametrize("built", ["affine"], indirect=True)
 def test_a_run_started_again_after_its_fixes_were_lost_begins_at_the_path_s_start(built: Built) -> None:
     settings = dataclasses.replace(CONFIGS["route"], depth=1)
-    loop = loop_of(built, settings, decisions=40)
-    assert any(event.lost for event in loop.events)
+    loops = (loop_of(built, settings, 40, SEED + k) for k in range(20))
+    loop = next(each for each in loops if any(event.lost for event in each.events))
     assert twin_mismatches(loop, built.tables, PATH, settings) == []
     # Who is not told of the lost run seeks its place near the one before.
     untold = dataclasses.replace(loop, events=[event for event in loop.events if not event.lost])

@@ -58,7 +58,7 @@ def swim(
             pytest.param(STRAIGHT, (0.0, 0.0, math.radians(45.0)), id="askew"),
             pytest.param(STRAIGHT, (0.0, 0.0, math.radians(90.0)), id="across"),
             pytest.param(STRAIGHT, (0.0, 0.0, math.radians(-90.0)), id="across to the right"),
-            pytest.param(polyline((0.0, 0.0), (-0.4, 0.0)), (0.0, 0.0, 0.0), id="behind"),
+            pytest.param(polyline((0.0, 0.0), (-0.5, 0.0)), (0.0, 0.0, 0.0), id="behind"),
         ],
         3,
     ),

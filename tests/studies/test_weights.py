@@ -39,8 +39,18 @@ def test_a_run_by_the_table_ends_and_repeats() -> None:
     assert 0.0 < first.distance_m < 0.02 and first.progress_mps > 0.015
     other = swim(rig.tables(), path, CONFIG, 3, 6)
     assert other != first
-    aimless = dataclasses.replace(CONFIG, distance_weight_per_m=0.0, angle_weight_per_rad=0.0)
+    weightless = dict.fromkeys(("distance_weight_per_m", "angle_weight_per_rad", "glide_weight_per_m"), 0.0)
+    aimless = dataclasses.replace(CONFIG, **weightless)
     assert swim(rig.tables(), path, aimless, 3, 5).distance_m > first.distance_m
+
+
+def test_a_run_from_astray_finds_its_path() -> None:
+    near, beside, turned = (
+        swim(rig.tables(), shape("line"), CONFIG, 3, 5, astray)
+        for astray in ((0.0, 0.0), (1.5, 0.0), (0.0, -2.2))
+    )
+    for run in (beside, turned):
+        assert run.completed == 1.0 and 2.0 * near.distance_m < run.distance_m < 0.1
 
 
 def test_the_score_prefers_near_runs_but_never_slow_ones() -> None:
@@ -70,7 +80,8 @@ def test_what_is_found_is_the_best_that_was_tried() -> None:
         )
         return tried[-1]
 
-    found = tune(judge, CONFIG, 60, np.random.default_rng(1))
+    found = tune(judge, CONFIG, 300, np.random.default_rng(1))
+    assert len(tried) == 294, "whole populations"
     assert judge(found) == min(tried)
     assert min(tried) < 0.4 * tried[0]
     kept = {
@@ -81,7 +92,7 @@ def test_what_is_found_is_the_best_that_was_tried() -> None:
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["study", "weights", "--tables", str(rig.small_table()), "--depth", "1"]
-    few = ["--trials", "3", "--paths", "2", "--runs", "1"]
+    few = ["--trials", "14", "--paths", "2", "--runs", "1"]
     assert run_command([*arguments, *few, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told["weights"]) == set(TUNED)

@@ -1,8 +1,8 @@
 """Weights of the planner, tuned in the table's own model on random paths and judged on others.
 
-The robot moves as its table says, plus a little noise, so a run takes milliseconds. The search is a (1+1)
-evolution strategy (Rechenberg 1973): all weights are varied by a random factor, and what scores better is
-kept. Its step grows with success and shrinks without.
+The robot moves as its table says, plus a little noise, so a run takes milliseconds. The search is
+differential evolution (Storn & Price 1997) of the weights' logarithms. Scored are the runs of a healthy
+robot, of one with a worn limb that knows it, and of one that begins astray.
 """
 
 from __future__ import annotations
@@ -41,13 +41,18 @@ CLOSED_STROKES = ((2.7, 1.7), (2.0, 2.0), (3.3, 2.2), (2.3, 1.5))
 """Half axes of the closed paths that are tuned on, in longest strokes."""
 JUDGED = ("ellipse", "bends", "eight", "circle")
 """Shapes that nothing is tuned on. The sine is left out, as its ends bend more than the robot can turn."""
+ASTRAY = ((1.5, 0.0), (0.0, 1.57), (0.0, -2.2), (-1.5, -1.0), (0.0, 3.1), (1.0, 2.5))
+"""Where runs begin that have to find their path: longest strokes to its left, and rad by which they point
+further to the left than it does."""
 DECISIONS_MOST = 80
 NOISE = 0.01
 """Of each decision: of the longest stroke (position), in radians, and twice as much of its mean speed."""
 _LOST_PROGRESS = 10.0  # what one part of progress weighs against one part of distance
 _UNFINISHED = 5.0
-_SHARE_WORN = 0.5  # what the score of worn limbs counts beside that of the healthy robot
+_SHARE = 0.5  # what the scores of worn limbs and of runs from astray count beside that of the healthy robot
 _WORN = 0.7  # share of its contribution that a worn limb has lost
+POPULATION = 2 * len(TUNED)
+_SPREAD, _FARTHEST = 0.4, 1.6  # of the weights' logarithms: in the first population, and at most
 
 
 @dataclass(frozen=True)
@@ -90,19 +95,31 @@ def training_paths(rng: np.random.Generator, stroke_m: float, count: int) -> dic
     return paths
 
 
-def swim(tables: Tables, path: Path, config: PlanConfig, runs: int, seed: int) -> Swum:
+def swim(
+    tables: Tables,
+    path: Path,
+    config: PlanConfig,
+    runs: int,
+    seed: int,
+    astray: tuple[float, float] = (0.0, 0.0),
+) -> Swum:
     """Swim a path several times, moved by the table and a little noise.
 
     Args:
         runs: number of runs side by side.
         seed: of the noise.
+        astray: where they begin, as in ``ASTRAY``.
     """
     rng, period_s = np.random.default_rng(seed), tables.period_us * 1e-6
     stroke_m, points = float(tables.stroke_max_m), len(path.x_m)
     speed = 2.0 * NOISE * stroke_m / period_s
     noise = np.array([NOISE * stroke_m, NOISE * stroke_m, NOISE, speed, speed, NOISE])
     state = np.zeros((runs, 6))
-    state[:, :3] = start_pose(path)
+    x_m, y_m, heading_rad = start_pose(path)
+    left_m = astray[0] * stroke_m
+    state[:, 0] = x_m - math.sin(heading_rad) * left_m
+    state[:, 1] = y_m + math.cos(heading_rad) * left_m
+    state[:, 2] = heading_rad + astray[1]
     use, along = np.zeros((runs, LIMBS_MAX)), np.zeros(runs)
     decisions, live = np.full(runs, DECISIONS_MOST), np.arange(runs)
     distances = []
@@ -159,22 +176,31 @@ def tune(
 
     Args:
         judge: what a configuration scores, the less the better.
+        trials: in whole populations of ``POPULATION``, at least one.
     """
-    best, found, step = judge(config), config, 0.3
-    for trial in range(trials):
-        varied: dict[str, Any] = {
-            name: float(min(WEIGHTS[name].most, getattr(found, name) * math.exp(step * rng.normal())))
-            for name in TUNED
-            if rng.random() < 0.5
+    scored: list[tuple[float, PlanConfig]] = []
+    generations = max(1, trials // POPULATION)
+
+    def tried(logarithms: FloatArray) -> float:
+        weights: dict[str, Any] = {
+            name: min(WEIGHTS[name].most, math.exp(at)) for name, at in zip(TUNED, logarithms, strict=True)
         }
-        candidate = dataclasses.replace(found, **varied)
-        scored = judge(candidate)
-        if scored < best:
-            best, found, step = scored, candidate, min(0.6, 1.2 * step)
-        else:
-            step = 0.97 * step if step > 0.05 else 0.3
-        tell(trial + 1, trials)
-    return found
+        candidate = config if not scored else dataclasses.replace(config, **weights)
+        scored.append((judge(candidate), candidate))
+        tell(len(scored), generations * POPULATION)
+        return scored[-1][0]
+
+    from scipy.optimize import differential_evolution
+
+    first = np.log([max(getattr(config, name), 1e-6) for name in TUNED])
+    population = first + _SPREAD * rng.normal(size=(POPULATION, len(TUNED)))
+    population[0] = first
+    bounds = [(at - _FARTHEST, at + _FARTHEST) for at in first]
+    differential_evolution(
+        tried, bounds, init=population, maxiter=generations - 1, mutation=(0.4, 0.9), recombination=0.8,
+        tol=0.0, polish=False, rng=rng,
+    )  # fmt: skip
+    return min(scored, key=lambda row: row[0])[1]
 
 
 @dataclass(frozen=True)
@@ -239,11 +265,18 @@ def run(config: Weights) -> WeightsTuned:
     def runs(paths: dict[str, Path], weights: PlanConfig, of: Tables = tables) -> dict[str, Swum]:
         return {name: swim(of, path, weights, config.runs, config.seed) for name, path in paths.items()}
 
-    def trial(weights: PlanConfig) -> tuple[list[Swum], list[Swum]]:
-        """Runs of the healthy robot, and of one after the other limb worn, as it has learned."""
-        return list(runs(training, weights).values()), [
-            swum for limb in worn for swum in runs(curved, weights, limb).values()
-        ]
+    first = list(training.values())[: len(BENDS_RAD)]
+
+    def trial(weights: PlanConfig) -> tuple[list[Swum], list[Swum], list[Swum]]:
+        """Runs of the healthy robot, of one after the other limb worn, as it has learned, and from astray."""
+        return (
+            list(runs(training, weights).values()),
+            [swum for limb in worn for swum in runs(curved, weights, limb).values()],
+            [
+                swim(tables, first[k % len(first)], weights, config.runs, config.seed, astray)
+                for k, astray in enumerate(ASTRAY)
+            ],
+        )
 
     before = trial(planner)
     start = planner
@@ -254,11 +287,11 @@ def run(config: Weights) -> WeightsTuned:
     with shown(True, "weights tried") as tell:
         found = tune(
             lambda weights: sum(
-                share * score(after, first)
-                for share, after, first in zip((1.0, _SHARE_WORN), trial(weights), before, strict=True)
-                if first
+                share * score(after, then)
+                for share, after, then in zip((1.0, _SHARE, _SHARE), trial(weights), before, strict=True)
+                if then
             ),
-            start, config.trials, rng, tell,
+            start, config.trials, np.random.default_rng(config.seed), tell,
         )  # fmt: skip
     weights: dict[str, Any] = {name: float(f"{getattr(found, name):.3g}") for name in TUNED}
     found = dataclasses.replace(found, **weights)

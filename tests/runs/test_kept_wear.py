@@ -63,7 +63,7 @@ def port_of(place: str, images: dict[str, Path]) -> Port:
 def swim(session: Session, limit_s: float, learn: bool = True) -> tuple[Recording, LiveCheck, RunOptions]:
     """A run of a robot with a worn limb, whose decisions the host checks."""
     begin = float(PATH.x_m[0]), float(PATH.y_m[0]), float(PATH.tangent_rad[0])
-    pool = Pool(robot(), begin, Camera(), np.random.default_rng(1), WORN)
+    pool = Pool(robot(), begin, Camera(), np.random.default_rng(3), WORN)
     pool.advance(session.time_s)
     check = LiveCheck()
     options = RunOptions(config_of(robot().planner), True, limit_s, check, learn=learn)

@@ -63,7 +63,8 @@ class Holding:
         self._is_sent = True
         if self._circle_point is None:
             return self._hold.entry
-        shift_m = self._shift_m - SHIFT_GAIN * (self._shift_m + np.mean(self._beside_m, axis=0))
+        beside_m = np.mean(self._beside_m, axis=0) if self._beside_m else -self._shift_m
+        shift_m = self._shift_m - SHIFT_GAIN * (self._shift_m + beside_m)
         self._shift_m = shift_m * min(1.0, SHIFT_MAX_M / max(float(np.hypot(*shift_m)), SHIFT_MAX_M))
         self._laps = self._hold.laps.place((*self._shift_m.tolist(), 0.0))
         return self._laps
@@ -78,7 +79,7 @@ class Holding:
             self._follow(path)
             return None
         self._send_at = self._circle_point + LAP_POINTS + AGAIN_POINTS
-        self._circle, self._beside_m = path.points_m, []
+        self._along, self._circle, self._beside_m = np.arange(len(path)), path.points_m, []
         self._is_sent = False
         return (*self._hold.end_m, self._circle_point)
 
@@ -88,8 +89,7 @@ class Holding:
             return
         if decision.path_index >= self._circle_point:
             self.began = True
-            at = np.arange(len(self._circle))
-            place = [np.interp(decision.along_points, at, column) for column in self._circle.T]
+            place = [np.interp(decision.along_points, self._along, column) for column in self._circle.T]
             self._beside_m.append(decision.estimate[:2] - place)
 
 

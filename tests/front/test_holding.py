@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
@@ -19,7 +20,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import RunOptions
 from frogkick.runs.decision import Decision
 from frogkick.runs.holding import AGAIN_POINTS, SHIFT_GAIN, SHIFT_MAX_M, Holding
-from frogkick.runs.live_log import logged
+from frogkick.runs.live_log import SPEED_MAX_MPS, logged
 from frogkick.runs.runlog_file import read_run
 
 HOLD_S = 80.0
@@ -155,3 +156,7 @@ def test_a_log_in_progress_has_room_for_its_paths(tmp_path: Path, swum: Path) ->
     assert whole.path is not None
     with logged(tmp_path / "a.h5", rig.robot(), rig.tables(), options, "test")(whole.path):
         assert read_run(tmp_path / "a.h5.part").then == ()
+        with h5py.File(tmp_path / "a.h5.part", "r", swmr=True) as file:
+            room = sum(name.isdigit() for name in file["then"])
+    lap_s = 2.0 * np.pi * 0.075 / SPEED_MAX_MPS
+    assert room > HOLD_S / lap_s > len(whole.then) > 1, "laps are sent again after each"

@@ -18,7 +18,6 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
 from frogkick.paths import Path
-from frogkick.paths.hold import hold_at_end
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.record import decision_columns, fix_columns, run_log
@@ -30,7 +29,7 @@ CHUNK_ROWS = 256
 GATHER_S = 0.02
 SPEED_MAX_MPS = 0.05
 HOLDS_MAX = 200
-"""Paths that hold, of which a log in progress has room for; the complete one holds them all."""
+"""Paths that hold, of which a log in progress has room for: about an hour. The complete one has them all."""
 CUT_OFF = "cut off while it ran"
 
 
@@ -247,8 +246,8 @@ def logged(
         empty = run_log(Recording(), None, robot, tables, path, options, None, source, made=made)
         planned = tuple(PathChange(-1, one.path) for one in options.then)
         if options.hold_m is not None:  # where and when each takes over is not known yet
-            laps_s = hold_at_end(path, options.hold_m).laps.length_m / SPEED_MAX_MPS
-            again = min(HOLDS_MAX, 2 * (len(planned) + 1) + math.ceil(options.time_limit_s / laps_s))
+            lap_s = 2.0 * math.pi * options.hold_m / SPEED_MAX_MPS
+            again = min(HOLDS_MAX, 2 * (len(planned) + 1) + math.ceil(options.time_limit_s / lap_s))
             planned += (PathChange(-1, path, (0.0, 0.0, 0)),) * again
         empty = replace(empty, then=planned, measured=known or {}, notes=CUT_OFF)
         live = LiveLog(target, empty, options.onboard)

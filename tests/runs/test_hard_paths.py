@@ -79,10 +79,11 @@ def test_a_path_that_can_be_reached_is_reached_and_followed(
     ("path", "start"),
     [
         (STRAIGHT, (0.0, 0.0, math.radians(135.0))),
+        (polyline((0.0, 0.0), (-0.4, 0.0)), (0.0, 0.0, 0.0)),
         (polyline((0.0, 0.0), (0.2, 0.0)), (0.4, 0.0, 0.0)),
         (polyline((0.0, 0.0), (0.1, 0.0), (0.1, 0.05), (0.0, 0.05), (0.0, 0.1), (0.1, 0.1)), (0.0, 0.0, 0.0)),
     ],
-    ids=["turned away", "already passed", "too tight"],
+    ids=["turned away", "behind, and short", "already passed", "too tight"],
 )
 def test_a_path_beyond_the_robot_is_tried_and_its_end_told_as_it_was(
     path: Path, start: tuple[float, float, float]

@@ -14,7 +14,7 @@ from frogkick.cli.main import run_command
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import load_robot
-from frogkick_studies.weights import TUNED, Swum, random_path, score, swim, training_paths, tune
+from frogkick_studies.weights import POPULATION, TUNED, Swum, random_path, score, swim, training_paths, tune
 
 CONFIG = dataclasses.replace(config_of(load_robot("frog2022").planner), depth=1)
 
@@ -80,8 +80,8 @@ def test_what_is_found_is_the_best_that_was_tried() -> None:
         )
         return tried[-1]
 
-    found = tune(judge, CONFIG, 300, np.random.default_rng(1))
-    assert len(tried) == 294, "whole populations"
+    found = tune(judge, CONFIG, 60, np.random.default_rng(1))
+    assert len(tried) == 56, "whole populations"
     assert judge(found) == min(tried)
     assert min(tried) < 0.4 * tried[0]
     kept = {
@@ -93,6 +93,8 @@ def test_what_is_found_is_the_best_that_was_tried() -> None:
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["study", "weights", "--tables", str(rig.small_table()), "--depth", "1"]
     few = ["--trials", "14", "--paths", "2", "--runs", "1"]
+    assert run_command([*arguments, "--trials", str(POPULATION - 1)]) == 2
+    assert f"{POPULATION}" in capsys.readouterr().err
     assert run_command([*arguments, *few, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told["weights"]) == set(TUNED)

@@ -63,9 +63,9 @@ class Holding:
         self._is_sent = True
         if self._circle_point is None:
             return self._hold.entry
-        beside_m = np.mean(self._beside_m, axis=0) if self._beside_m else -self._shift_m
-        shift_m = self._shift_m - SHIFT_GAIN * (self._shift_m + beside_m)
-        self._shift_m = shift_m * min(1.0, SHIFT_MAX_M / max(float(np.hypot(*shift_m)), SHIFT_MAX_M))
+        if self._beside_m:
+            shift_m = self._shift_m - SHIFT_GAIN * (self._shift_m + np.mean(self._beside_m, axis=0))
+            self._shift_m = shift_m * SHIFT_MAX_M / max(float(np.hypot(*shift_m)), SHIFT_MAX_M)
         self._laps = self._hold.laps.place((*self._shift_m.tolist(), 0.0))
         return self._laps
 

@@ -104,7 +104,8 @@ enum { /* PARAM */
     FK_PARAMETER_WALL_Y_MIN_M = 19,
     FK_PARAMETER_WALL_Y_MAX_M = 20,
     FK_PARAMETER_GLIDE_WEIGHT_PER_M = 21,
-    FK_PARAMETER_GLIDE_LEAD = 22
+    FK_PARAMETER_GLIDE_LEAD = 22,
+    FK_PARAMETER_COURSE_WEIGHT_PER_M = 23
 };
 
 enum { /* whether the robot learns what its limbs have lost */

@@ -73,7 +73,7 @@ def test_the_first_lines_say_where_it_comes_from(emitted: Path) -> None:
         assert "table image format 2, kind nearest" in head
         assert f"library SHA-256 {provenance}" in head
         assert "robot frog2022, " in head
-        weights = "500.0f,50.0f,300.0f,0.300000012f" + 8 * ",0.0f"
+        weights = "500.0f,50.0f,300.0f,0.300000012f" + 9 * ",0.0f"
         settings = f"{weights},-1000.0f,1000.0f,-1000.0f,1000.0f,1,0,0"
         assert re.search(rf"configuration SHA-256 [0-9a-f]{{64}} \({re.escape(settings)}\)", head)
         assert f"command: {COMMAND}" in head
@@ -218,6 +218,7 @@ def test_the_configuration_is_written_to_the_last_bit(tmp_path: Path) -> None:
         1e-9,
         1e5 / 7,
         2.0,
+        55.50001,
         77.7,
         1.9999999,
         1e3 / 3,

@@ -38,6 +38,7 @@ ROUTE = {
     "look_ahead_m": 0.06,
     "soft_distance_m": 0.02,
     "turn_lead": 0.5,
+    "course_weight_per_m": 50.0,
 }
 CODES = planner_c.codes()
 NAN, INFINITY = float("nan"), float("inf")

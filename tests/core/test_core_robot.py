@@ -252,8 +252,8 @@ def test_parameters_and_their_limits() -> None:
     for value, wanted in [(2, "OK"), (0, "OK"), (2.0001, "VALUE"), (-0.1, "VALUE")]:
         assert status("TURN_LEAD", value) == status("GLIDE_LEAD", value) == wanted, value
     for name in (
-        "DISTANCE_WEIGHT_PER_M", "ANGLE_WEIGHT_PER_RAD", "PROGRESS_WEIGHT", "LEVEL_WEIGHT",
-        "PROGRESS_WEIGHT_PER_M", "LOOK_AHEAD_M", "SOFT_DISTANCE_M", "GLIDE_WEIGHT_PER_M",
+        "DISTANCE_WEIGHT_PER_M", "ANGLE_WEIGHT_PER_RAD", "COURSE_WEIGHT_PER_M", "PROGRESS_WEIGHT",
+        "PROGRESS_WEIGHT_PER_M", "LOOK_AHEAD_M", "SOFT_DISTANCE_M", "GLIDE_WEIGHT_PER_M", "LEVEL_WEIGHT",
     ):  # fmt: skip
         for value, wanted in [(0, "OK"), (-0.0, "OK"), (1e6, "OK"), (-1e-9, "VALUE"), (1000001.0, "VALUE")]:
             assert status(name, value) == wanted
@@ -263,7 +263,7 @@ def test_parameters_and_their_limits() -> None:
     robot.path()
     told = robot.ask("PLAN", {"depth": 1, **POSE, **MOTION, **RESTED})
     assert told["status"] == 0, "what PARAM takes, the planner takes"
-    for parameter in (0, 23, 255):
+    for parameter in (0, 24, 255):
         assert robot.status("PARAM", {"parameter": parameter, "value": 1.0}) == "VALUE"
 
 
@@ -353,7 +353,7 @@ def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
         [np.linspace(0, 1, 18), 0.1 * np.sin(np.arange(18)), rng.uniform(-3, 3, 18)]
     ).astype(np.float32)
     assert robot.status("PATH", {"first": 0, "total": 18, "count": 18}, rows.tolist()) == "OK"
-    weights = (400.0, 33.0, 250.0, 0.7, 310.0, 0.12, 0.02, 0.5, 240.0, 0.8, 290.0, 3.2, -0.4, 0.6, -0.1, 0.2)
+    weights = (400, 33, 250, 0.7, 310, 0.12, 0.02, 0.5, 55, 240, 0.8, 290, 3.2, -0.4, 0.6, -0.1, 0.2)
     config = PlanConfig(*weights, depth, cost, transitions_max=70)
     for name, value in asdict(config).items():
         if name != "depth":

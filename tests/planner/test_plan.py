@@ -228,3 +228,32 @@ def test_a_branch_costs_how_far_beside_the_path_its_end_glides(lead: float) -> N
         assert float(after.cost) - float(before.cost) == pytest.approx(weight * loss, abs=2e-3)
         losses.append(loss)
     assert min(losses) < soft_m / 4 < max(losses)
+
+
+@pytest.mark.parametrize("course", [0.0, 20.0, 300.0, 1e6])
+def test_a_branch_costs_the_angle_between_its_course_and_the_path_ahead(course: float) -> None:
+    """The course by complex numbers: the heading before, plus the motion in the body frame times its weight,
+    turned by the motion's turn and its lead."""
+    tables, look_ahead_m, lead, weight = open_image(synthetic.image(60, 1, 2)), 0.08, 0.5, 100.0
+    along = np.linspace(0.0, 1.0, 21).astype(np.float32)
+    path = synthetic.WavePath(along, np.zeros_like(along), np.zeros_like(along))
+    rng, angles = np.random.default_rng(6), []
+    for _ in range(count(40, 400)):
+        state = rng.uniform([0.3, -0.04, -1.4, 0, -0.03, -0.5], [0.5, 0.04, 1.4, 0.04, 0.03, 0.5])
+        base = PlanConfig(1000.0, 0.0, 0.0, 0.0, 500.0, look_ahead_m, 0.02, cost=kernel.COST_ROUTE)
+        aims = dataclasses.replace(
+            base, angle_weight_per_rad=weight, turn_lead=lead, course_weight_per_m=course
+        )
+        start = round(20 * float(state[0]))
+        before, after = (plan(tables, path, each, state, along_points=start) for each in (base, aims))
+        x_m, y_m, heading = before.predicted[:3].astype(float)
+        if x_m < state[0]:
+            continue  # the route begins a little behind the robot: no place further back
+        first = np.exp(1j * float(np.float32(state[2])))
+        motion = (complex(x_m, y_m) - complex(*state[:2])) / first
+        turn = math.remainder(heading - float(np.float32(state[2])), 2 * math.pi)
+        way = first * (1.0 + course * motion) * np.exp(1j * (1.0 + lead) * turn)
+        angles.append(abs(np.angle(way / complex(look_ahead_m, -y_m))))
+        expected = weight * 2.0 * math.sin(angles[-1] / 2.0)
+        assert float(after.cost) - float(before.cost) == pytest.approx(expected, abs=0.04)
+    assert min(angles) < 0.3 < 1.0 < max(angles)

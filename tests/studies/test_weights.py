@@ -14,9 +14,11 @@ from frogkick.cli.main import run_command
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import load_robot
+from frogkick_codegen.native import NativeLibrary
 from frogkick_studies.weights import POPULATION, TUNED, Swum, random_path, score, swim, training_paths, tune
 
 CONFIG = dataclasses.replace(config_of(load_robot("frog2022").planner), depth=1)
+LIBRARY = NativeLibrary()
 
 
 def test_random_paths_bend_as_much_as_is_asked() -> None:
@@ -34,19 +36,19 @@ def test_random_paths_bend_as_much_as_is_asked() -> None:
 
 def test_a_run_by_the_table_ends_and_repeats() -> None:
     path = shape("line")
-    first, again = (swim(rig.tables(), path, CONFIG, 3, 5) for _ in range(2))
+    first, again = (swim(LIBRARY, rig.tables(), path, CONFIG, 3, 5) for _ in range(2))
     assert first == again and first.completed == 1.0
     assert 0.0 < first.distance_m < 0.02 and first.progress_mps > 0.015
-    other = swim(rig.tables(), path, CONFIG, 3, 6)
+    other = swim(LIBRARY, rig.tables(), path, CONFIG, 3, 6)
     assert other != first
     weightless = dict.fromkeys(("distance_weight_per_m", "angle_weight_per_rad", "glide_weight_per_m"), 0.0)
     aimless = dataclasses.replace(CONFIG, **weightless)
-    assert swim(rig.tables(), path, aimless, 3, 5).distance_m > first.distance_m
+    assert swim(LIBRARY, rig.tables(), path, aimless, 3, 5).distance_m > first.distance_m
 
 
 def test_a_run_from_astray_finds_its_path() -> None:
     near, beside, turned = (
-        swim(rig.tables(), shape("line"), CONFIG, 3, 5, astray)
+        swim(LIBRARY, rig.tables(), shape("line"), CONFIG, 3, 5, astray)
         for astray in ((0.0, 0.0), (1.5, 0.0), (0.0, -2.2))
     )
     for run in (beside, turned):
@@ -80,8 +82,8 @@ def test_what_is_found_is_the_best_that_was_tried() -> None:
         )
         return tried[-1]
 
-    found = tune(judge, CONFIG, 60, np.random.default_rng(1))
-    assert len(tried) == 56, "whole populations"
+    found = tune(judge, CONFIG, 66, np.random.default_rng(1))
+    assert len(tried) == 64, "whole populations"
     assert judge(found) == min(tried)
     assert min(tried) < 0.4 * tried[0]
     kept = {
@@ -92,7 +94,7 @@ def test_what_is_found_is_the_best_that_was_tried() -> None:
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["study", "weights", "--tables", str(rig.small_table()), "--depth", "1"]
-    few = ["--trials", "14", "--paths", "2", "--runs", "1"]
+    few = ["--trials", "16", "--paths", "2", "--runs", "1"]
     assert run_command([*arguments, "--trials", str(POPULATION - 1)]) == 2
     assert f"{POPULATION}" in capsys.readouterr().err
     assert run_command([*arguments, *few, "--json"]) == 0

@@ -51,7 +51,7 @@ typedef struct {
 /* How a motion is judged. Numbers travel on the link. */
 typedef enum {
     FK_COST_PAPER = 0, /* the paper's Eq. 19, as its authors ran it */
-    FK_COST_ROUTE = 1  /* progress along the path as stage cost, heading as terminal cost: route.c */
+    FK_COST_ROUTE = 1  /* progress along the path as stage cost, course as terminal cost: route.c */
 } fk_cost_t;
 
 /* weights: made by python -m frogkick_codegen.frames */
@@ -65,6 +65,7 @@ typedef enum {
     WEIGHT(look_ahead_m, LOOK_AHEAD_M, 0.0f, 1000000.0f) \
     WEIGHT(soft_distance_m, SOFT_DISTANCE_M, 0.0f, 1000000.0f) \
     WEIGHT(turn_lead, TURN_LEAD, 0.0f, 2.0f) \
+    WEIGHT(course_weight_per_m, COURSE_WEIGHT_PER_M, 0.0f, 1000000.0f) \
     WEIGHT(glide_weight_per_m, GLIDE_WEIGHT_PER_M, 0.0f, 1000000.0f) \
     WEIGHT(glide_lead, GLIDE_LEAD, 0.0f, 2.0f) \
     WEIGHT(wall_weight_per_m, WALL_WEIGHT_PER_M, 0.0f, 1000000.0f) \
@@ -85,6 +86,8 @@ typedef struct {
     float look_ahead_m;          /* route: how far along the path a branch's end points */
     float soft_distance_m;       /* route: below it, distance counts by its square */
     float turn_lead;             /* route: x the last turn, by which the robot turns on */
+    float course_weight_per_m;   /* route: x the last motion, which is added to the heading where a branch's end is
+                                  * taken to go */
     float glide_weight_per_m;    /* route: x distance from the path to which a branch's end glides */
     float glide_lead;            /* route: x the last motion, turned on, by which a branch's end glides on */
     float wall_weight_per_m;     /* route: x how far a branch's end, and where it glides to, lie beyond the walls */

@@ -1,9 +1,10 @@
 /* fk_route.h - the route cost, for the planner's own files: progress along the path as the stage cost, and where the
- * robot points as the terminal cost. route.c says how. */
+ * robot goes as the terminal cost. route.c says how. */
 #ifndef FK_ROUTE_H
 #define FK_ROUTE_H
 
 #include "fk_internal.h"
+#include "fk_trig.h"
 
 #define FK_ROUTE_PER_STEP 0.125f  /* step between knots over the table's longest stroke */
 #define FK_ROUTE_AHEAD 12U        /* knots that one motion may advance: one and a half of the longest stroke */
@@ -40,6 +41,7 @@ typedef struct {
     float progress_weight_per_m;
     float look_ahead_m;
     float turn_lead;
+    float course_weight_per_m;
     float glide_weight_per_m;
     float glide_lead;
     float wall_weight_per_m;
@@ -162,10 +164,36 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     return route->distance_weight_per_m * fk_route_huber(route, distance2_m2) + route->progress_weight_per_m * shortfall_m;
 }
 
-/* What it costs to end at a position and a place of the route, pointing along (cosine, sine), at least 0: that
- * grows with the angle up to half a turn as 2 sin(angle / 2), without an arc tangent. */
-static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, float x_m, float y_m, float cosine,
-                                      float sine)
+/* Where a robot goes that had a heading (cosine, sine) before a motion: the heading and what the motion counts beside
+ * it, turned as it turns in the motion and on after it. A vector of any length. */
+static inline void fk_route_course(const fk_route_t *route, float cosine, float sine, const fk_motion_t *motion,
+                                   float *course_x, float *course_y)
+{
+    const float ahead = 1.0f + route->course_weight_per_m * motion->forward_m;
+    const float aside = route->course_weight_per_m * motion->left_m;
+    const float turn_rad = motion->turn_rad + route->turn_lead * motion->turn_rad;
+    float turned_sine;
+    float turned_cosine;
+    float end_sine;
+    float end_cosine;
+
+    if ((turn_rad <= FK_SMALL_ANGLE_RAD) && (turn_rad >= -FK_SMALL_ANGLE_RAD)) {
+        fk_sincos_small(turn_rad, &turned_sine, &turned_cosine); /* nearly always: the bits of the other way */
+    } else {
+        /* turn_rad <= 983, turn_lead <= 2: within what fk_sincos takes. */
+        fk_sincos(fk_wrap_angle(motion->turn_rad) + route->turn_lead * motion->turn_rad, &turned_sine,
+                  &turned_cosine);
+    }
+    end_cosine = cosine * turned_cosine - sine * turned_sine;
+    end_sine = sine * turned_cosine + cosine * turned_sine;
+    *course_x = end_cosine * ahead - end_sine * aside;
+    *course_y = end_sine * ahead + end_cosine * aside;
+}
+
+/* What it costs to end at a position and a place of the route, on the way along (course_x, course_y), at least 0:
+ * that grows with the angle up to half a turn as 2 sin(angle / 2), without an arc tangent. */
+static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, float x_m, float y_m, float course_x,
+                                      float course_y)
 {
     const float last = (float)route->last;
     const float steps = fk_larger(0.0f, fk_smaller(last, (arc_m + route->look_ahead_m) * route->steps_per_m));
@@ -174,13 +202,13 @@ static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, floa
     const float beyond_m = (steps - (float)index) * route->step_m;
     const float dx_m = (knot->x_m + beyond_m * knot->direction_x) - x_m;
     const float dy_m = (knot->y_m + beyond_m * knot->direction_y) - y_m;
-    const float distance2_m2 = dx_m * dx_m + dy_m * dy_m;
+    const float square = (dx_m * dx_m + dy_m * dy_m) * (course_x * course_x + course_y * course_y);
     float aligned;
 
-    if (distance2_m2 == 0.0f) {
+    if (square == 0.0f) {
         return 0.0f;
     }
-    aligned = (dx_m * cosine + dy_m * sine) / FK_SQRT(distance2_m2);
+    aligned = (dx_m * course_x + dy_m * course_y) / FK_SQRT(square);
     return route->angle_weight_per_rad * FK_SQRT(fk_larger(0.0f, 2.0f - 2.0f * aligned));
 }
 

@@ -8,7 +8,8 @@
  *
  * Stage cost: a Huber loss of the motion's end's distance from the route, and the shortfall of its advance against
  * the longest stroke of the table. Both are at least 0, which the branch and bound of tree.c relies on. Terminal cost:
- * how far the robot points away from the route's place a look-ahead further on (pure pursuit's target point); how far
+ * how far the robot's course leads away from the route's place a look-ahead further on (pure pursuit's target point;
+ * the course is the heading and, weighed, the last motion, since a robot with a worn limb goes crabwise); how far
  * beside the route it glides on from the end, by a motion of constant turn; and, where there are walls, how far the
  * end, and the place where it would glide to rest, lie beyond them. */
 #include "fk_route.h"
@@ -120,6 +121,7 @@ static void fk_route_settings(const fk_plan_config_t *config, float stroke_max_m
     route->progress_weight_per_m = config->progress_weight_per_m;
     route->look_ahead_m = config->look_ahead_m;
     route->turn_lead = config->turn_lead;
+    route->course_weight_per_m = config->course_weight_per_m;
     route->glide_weight_per_m = config->glide_weight_per_m;
     route->glide_lead = config->glide_lead;
     route->wall_weight_per_m = config->wall_weight_per_m;

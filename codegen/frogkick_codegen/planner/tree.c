@@ -2,7 +2,6 @@
  * transitions are limited. Each level is searched depth first with an explicit stack. The bound is the cost so far: no
  * cost is negative (Land & Doig 1960; iterative deepening: Korf 1985). */
 #include "fk_route.h"
-#include "fk_trig.h"
 
 /* A state on the way down: world pose, table row of its velocity, cost so far. */
 typedef struct {
@@ -114,24 +113,6 @@ static void fk_node_move(const fk_node_t *from, const fk_motion_t *motion, float
     *y_m = from->y_m + (from->sine * motion->forward_m + from->cosine * motion->left_m);
 }
 
-/* Direction after one action, and after what it is taken to turn on. */
-static void fk_node_direction(const fk_node_t *from, const fk_motion_t *motion, float turn_lead, float *cosine,
-                              float *sine)
-{
-    const float turn_rad = motion->turn_rad + turn_lead * motion->turn_rad;
-    float turned_sine;
-    float turned_cosine;
-
-    if ((turn_rad <= FK_SMALL_ANGLE_RAD) && (turn_rad >= -FK_SMALL_ANGLE_RAD)) {
-        fk_sincos_small(turn_rad, &turned_sine, &turned_cosine); /* nearly always: the bits of the other way */
-    } else {
-        /* turn_rad <= 983, turn_lead <= 2: within what fk_sincos takes. */
-        fk_sincos(fk_wrap_angle(motion->turn_rad) + turn_lead * motion->turn_rad, &turned_sine, &turned_cosine);
-    }
-    *cosine = from->cosine * turned_cosine - from->sine * turned_sine;
-    *sine = from->sine * turned_cosine + from->cosine * turned_sine;
-}
-
 /* Expand a node by one action: 1 where that gives a node at the next level, which is not pruned. */
 static int32_t fk_expand(fk_search_t *search, uint32_t level, uint32_t first_action, uint32_t action)
 {
@@ -161,11 +142,11 @@ static int32_t fk_expand(fk_search_t *search, uint32_t level, uint32_t first_act
     }
     if (level + 1U == search->levels) {
         if (is_route != 0) {
-            float cosine;
-            float sine;
+            float course_x;
+            float course_y;
 
-            fk_node_direction(node, &motion, route->turn_lead, &cosine, &sine);
-            cost = cost + fk_route_end_cost(route, arc_m, x_m, y_m, cosine, sine);
+            fk_route_course(route, node->cosine, node->sine, &motion, &course_x, &course_y);
+            cost = cost + fk_route_end_cost(route, arc_m, x_m, y_m, course_x, course_y);
             if (fk_is_pruned(search, first_action, cost) == 0) { /* most are: what follows is saved */
                 cost = cost + fk_route_glide_cost(route, knot, arc_m, node->x_m, node->y_m, x_m, y_m, motion.turn_rad);
             }

@@ -75,6 +75,10 @@ class Weights:
         "route: x the last turn, by which the robot turns on",
         most=2.0,
     )] = 0.0  # fmt: skip
+    course_weight_per_m: Annotated[float, Weight(
+        "how much the way that it goes counts beside where it points, for each m of its last stroke",
+        "route: x the last motion, which is added to the heading where a branch's end is taken to go",
+    )] = 0.0  # fmt: skip
     glide_weight_per_m: Annotated[float, Weight(
         "cost of each m beside the path to which the robot glides on",
         "route: x distance from the path to which a branch's end glides",

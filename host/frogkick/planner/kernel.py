@@ -185,15 +185,19 @@ def end_cost(search: _Search, level: int, motion: Array) -> Any:
     settings = search.settings
     if settings.cost == COST_PAPER:
         return _F0
+    ahead = _F1 + settings.course_weight_per_m * motion[0]
+    aside = settings.course_weight_per_m * motion[1]
     sine, cosine = sincos(search.poses[level - 1, 2])
     turned_sine, turned_cosine = sincos(wrap_angle(motion[2]) + settings.turn_lead * motion[2])
+    end_cosine = cosine * turned_cosine - sine * turned_sine
+    end_sine = sine * turned_cosine + cosine * turned_sine
     angle = route.end_angle(
         search.knots,
         search.step,
         search.place[level],
         search.poses[level],
-        cosine * turned_cosine - sine * turned_sine,
-        sine * turned_cosine + cosine * turned_sine,
+        end_cosine * ahead - end_sine * aside,
+        end_sine * ahead + end_cosine * aside,
         settings.look_ahead_m,
     )
     return settings.angle_weight_per_rad * angle

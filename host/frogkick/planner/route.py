@@ -1,4 +1,4 @@
-"""The route cost in float32 (numba): progress along the path as stage cost, heading as terminal cost.
+"""The route cost in float32 (numba): progress along the path as stage cost, course as terminal cost.
 
 It is the twin of route.c, written from these rules:
 
@@ -12,11 +12,13 @@ It is the twin of route.c, written from these rules:
   beside a path that it cannot follow any stroke costs more than to stay.
 - Stage cost of a motion: the Huber loss of its end's distance from the route (Huber 1964; the quadratic part
   ends at ``soft_distance_m``), and the shortfall of its advance against the table's longest stroke.
-- Terminal cost of a branch: how far the robot points away from the route's place a look-ahead further on, the
-  target point of pure pursuit (Coulter 1992). Besides, how far from the route the place lies to which the
-  robot glides on: ``glide_lead`` times its last motion further, turned by as much as it turned in that (a
-  constant-turn motion, Li & Jilkov 2003, for small angles). Where there are walls, also how far the
-  branch's end, and the place where the robot would glide to rest, lie beyond them.
+- Terminal cost of a branch: how far the robot's course leads away from the route's place a look-ahead further
+  on, the target point of pure pursuit (Coulter 1992). The course is the heading before the last motion plus
+  ``course_weight_per_m`` times that motion, turned by the motion's turn and ``turn_lead`` times that.
+- Besides, how far from the route the place lies to which the robot glides on: ``glide_lead`` times its last
+  motion further, turned by as much as it turned in that (a constant-turn motion, Li & Jilkov 2003, for small
+  angles). Where there are walls, also how far the branch's end, and the place where the robot would glide to
+  rest, lie beyond them.
 
 Every operation is float32 in the order written; ties take the lowest index.
 """
@@ -297,16 +299,16 @@ def end_angle(
     step: np.float32,
     place: np.float32,
     position: Array,
-    cosine: Any,
-    sine: Any,
+    course_x: Any,
+    course_y: Any,
     look_ahead: Any,
 ) -> Any:
-    """Return 2 sin(angle / 2), 0 to 2: between the robot's direction and that to the route further on.
+    """Return 2 sin(angle / 2), 0 to 2: between the robot's course and the direction to the route further on.
 
     Args:
         place: the position's, metres from knot 0.
         position: x, y float32.
-        cosine, sine: of the direction.
+        course_x, course_y: a vector along its course, of any length.
         look_ahead: m beyond ``place``.
     """
     last = len(knots) - 1
@@ -316,8 +318,8 @@ def end_angle(
     beyond = (steps - np.float32(knot)) * step
     dx = (knots[knot, 0] + beyond * knots[knot, 2]) - position[0]
     dy = (knots[knot, 1] + beyond * knots[knot, 3]) - position[1]
-    distance2 = dx * dx + dy * dy
-    if distance2 == _F0:
+    square = (dx * dx + dy * dy) * (course_x * course_x + course_y * course_y)
+    if square == _F0:
         return _F0
-    aligned = (dx * cosine + dy * sine) / np.sqrt(distance2)
+    aligned = (dx * course_x + dy * course_y) / np.sqrt(square)
     return np.sqrt(max(_F0, _F2 - _F2 * aligned))

@@ -201,8 +201,8 @@ class Weights(Config):
     model: str | None = None
     depth: int | None = None
     trials: Annotated[
-        int, Option(min=14, max=100_000, help="Weights to try, in whole populations of 14.")
-    ] = 434
+        int, Option(min=16, max=100_000, help="Weights to try, in whole populations of 16.")
+    ] = 432
     paths: Annotated[int, Option(min=1, max=1000, help="Random paths to tune on.")] = 10
     runs: Annotated[int, Option(min=1, max=1000, help="Runs along each path.")] = 4
     seed: int = 0

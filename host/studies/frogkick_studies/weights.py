@@ -21,9 +21,10 @@ from frogkick.core.progress import shown
 from frogkick.core.weights import WEIGHTS
 from frogkick.front.places import plan_config, robot_of_table, start_pose, table_image
 from frogkick.paths import Path, from_waypoints, shape
-from frogkick.planner.plan import Cost, PlanConfig, plan_batch
+from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.tables.image import Tables, read_image
 from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
+from frogkick_codegen.native import NativeLibrary
 from frogkick_studies import Found
 from frogkick_studies.configs import Weights
 
@@ -31,7 +32,7 @@ FloatArray = npt.NDArray[np.float64]
 
 TUNED = (
     "distance_weight_per_m", "angle_weight_per_rad", "look_ahead_m", "soft_distance_m", "turn_lead",
-    "glide_weight_per_m", "glide_lead",
+    "course_weight_per_m", "glide_weight_per_m", "glide_lead",
 )  # fmt: skip
 """The weight of progress stays: it is the unit of the others."""
 LENGTH_STROKES = 15.0
@@ -96,6 +97,7 @@ def training_paths(rng: np.random.Generator, stroke_m: float, count: int) -> dic
 
 
 def swim(
+    planner: NativeLibrary,
     tables: Tables,
     path: Path,
     config: PlanConfig,
@@ -106,6 +108,7 @@ def swim(
     """Swim a path several times, moved by the table and a little noise.
 
     Args:
+        planner: in C, which answers with the twin's bits in a fifth of the time.
         runs: number of runs side by side.
         seed: of the noise.
         astray: where they begin, as in ``ASTRAY``.
@@ -120,11 +123,14 @@ def swim(
     state[:, 0] = x_m - math.sin(heading_rad) * left_m
     state[:, 1] = y_m + math.cos(heading_rad) * left_m
     state[:, 2] = heading_rad + astray[1]
-    use, along = np.zeros((runs, LIMBS_MAX)), np.zeros(runs)
+    use, along, lost = np.zeros((runs, LIMBS_MAX)), np.zeros(runs), np.zeros(LIMBS_MAX, dtype=np.int64)
+    lost[: len(tables.lost)] = tables.lost
     decisions, live = np.full(runs, DECISIONS_MOST), np.arange(runs)
     distances = []
     for decision in range(DECISIONS_MOST):
-        rows = plan_batch(tables, path, config, state[live], None, use[live], along[live])
+        rows = planner.plan_batch(
+            tables.image, path, config, state[live], limb_use=use[live], along_points=along[live], lost=lost
+        )
         along[live] = rows["along_points"]
         there = along[live] >= points - 1.001
         decisions[live[there]] = decision
@@ -242,6 +248,7 @@ def run(config: Weights) -> WeightsTuned:
 
     Raises:
         InputError: no such table or robot, or a robot whose planner has the published cost.
+        ToolchainError: no C compiler.
     """
     image = table_image(config.tables, config.model)
     robot = robot_of_table(image, config.model)
@@ -250,6 +257,7 @@ def run(config: Weights) -> WeightsTuned:
         raise InputError(
             f"the planner of {robot.id} has the cost 'paper', which has its own weights: choose 'route'"
         )
+    library = NativeLibrary()
     rng, stroke_m = np.random.default_rng(config.seed), float(tables.stroke_max_m)
     training = training_paths(rng, stroke_m, config.paths)
     others = {name: shape(name) for name in JUDGED} | {
@@ -263,7 +271,9 @@ def run(config: Weights) -> WeightsTuned:
     ]
 
     def runs(paths: dict[str, Path], weights: PlanConfig, of: Tables = tables) -> dict[str, Swum]:
-        return {name: swim(of, path, weights, config.runs, config.seed) for name, path in paths.items()}
+        return {
+            name: swim(library, of, path, weights, config.runs, config.seed) for name, path in paths.items()
+        }
 
     first = list(training.values())[: len(BENDS_RAD)]
 
@@ -273,7 +283,7 @@ def run(config: Weights) -> WeightsTuned:
             list(runs(training, weights).values()),
             [swum for limb in worn for swum in runs(curved, weights, limb).values()],
             [
-                swim(tables, first[k % len(first)], weights, config.runs, config.seed, astray)
+                swim(library, tables, first[k % len(first)], weights, config.runs, config.seed, astray)
                 for k, astray in enumerate(ASTRAY)
             ],
         )
@@ -282,8 +292,10 @@ def run(config: Weights) -> WeightsTuned:
     start = planner
     if planner.glide_weight_per_m == 0.0:
         start = dataclasses.replace(
-            planner, glide_weight_per_m=0.3 * planner.distance_weight_per_m, glide_lead=0.8
+            start, glide_weight_per_m=0.3 * planner.distance_weight_per_m, glide_lead=0.8
         )
+    if planner.course_weight_per_m == 0.0:
+        start = dataclasses.replace(start, course_weight_per_m=2.0 / stroke_m)
     with shown(True, "weights tried") as tell:
         found = tune(
             lambda weights: sum(

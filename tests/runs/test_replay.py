@@ -71,6 +71,17 @@ def test_the_host_alone_decides_our_own_log_again(own_log: RunLog) -> None:
     assert result.recorded == result.actions
 
 
+def test_decisions_that_differ_leave_the_host_s_estimates_alone(own_log: RunLog) -> None:
+    """The robot swam what it had decided, whatever another planner would have had it swim."""
+    as_swum, other = (
+        replay(own_log, rig.tables(), PlanConfig(depth=depth, angle_weight_per_rad=weight), None, host=True)
+        for depth, weight in ((2, 50.0), (1, 5000.0))
+    )
+    assert as_swum.agreement == 1.0 and other.agreement is not None and other.agreement < 0.8
+    for one, another in zip(as_swum.host, other.host, strict=True):
+        assert one.estimate.tobytes() == another.estimate.tobytes() and one.limb_use == another.limb_use
+
+
 def test_a_run_without_what_a_replay_needs_is_refused(own_log: RunLog) -> None:
     bare = dataclasses.replace(own_log, path=None)
     with pytest.raises(InputError, match="has no path"):

@@ -68,6 +68,7 @@ class Schedule:
         fixes: (arrival, fix), robot time in s, in order of arrival.
         first_us, period_us, decisions: time of the first decision, period, and number of decisions.
         then: paths that take over.
+        strokes: index of the action that was swum after each decision; None: not known.
     """
 
     fixes: list[tuple[float, Fix]]
@@ -75,6 +76,7 @@ class Schedule:
     period_us: int
     decisions: int
     then: tuple[PathChange, ...] = ()
+    strokes: tuple[int | None, ...] = ()
 
 
 def require_replayable(run: RunLog) -> None:
@@ -101,7 +103,7 @@ def require_replayable(run: RunLog) -> None:
             )
 
 
-def _schedule(run: RunLog) -> Schedule:
+def _schedule(run: RunLog, tables: Tables) -> Schedule:
     fixes = []
     # The robot recognises a duplicate by its number and pose.
     numbers = run.fixes.extra.get("sequence", np.arange(len(run.fixes)))
@@ -113,7 +115,9 @@ def _schedule(run: RunLog) -> Schedule:
             (arrival_s, Fix(capture_s, arrival_s - capture_s, *pose, sequence=int(numbers[row]) & 0xFFFF))
         )
     first_us = round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
-    return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions), run.then)
+    index = {row.name: number for number, row in enumerate(tables.actions)}
+    strokes = tuple(index.get(name) for name in run.decided(unseen=""))
+    return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions), run.then, strokes)
 
 
 def replay(
@@ -126,7 +130,8 @@ def replay(
 ) -> Replay:
     """Give a run's fixes to the planner at their recorded times, and decide at the recorded times.
 
-    The strokes that the robot decides have no effect.
+    The strokes that it decides have no effect. On the host alone they are taken to be those that were swum, so
+    that a decision which differs does not spoil the estimates after it; a robot takes its own for granted.
 
     Args:
         run: recorded run with its path.
@@ -142,7 +147,7 @@ def replay(
         LinkError: the robot refuses or does not answer.
     """
     require_replayable(run)
-    schedule = _schedule(run)
+    schedule = _schedule(run, tables)
     assert run.path is not None
     onboard: list[Decision] = []
     learn = LEARN in run.made
@@ -183,10 +188,12 @@ def _events_of(schedule: Schedule) -> list[RobotEvent]:
     ]
     for change in schedule.then:  # when it came is not known: at once after the decision before
         before_us = schedule.first_us + (change.decision - 1) * schedule.period_us
-        timed.append((before_us, 2, RobotEvent(0, path=change.path)))
+        timed.append((before_us, 3, RobotEvent(0, path=change.path)))
     for index in range(schedule.decisions):
         at_us = schedule.first_us + index * schedule.period_us
         timed.append((at_us, 1, RobotEvent(at_us)))
+        if (stroke := schedule.strokes[index]) is not None:
+            timed.append((at_us, 2, RobotEvent(at_us, action=stroke)))
     return [event for _, _, event in sorted(timed, key=lambda row: row[:2])]
 
 

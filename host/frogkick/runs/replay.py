@@ -130,8 +130,8 @@ def replay(
 ) -> Replay:
     """Give a run's fixes to the planner at their recorded times, and decide at the recorded times.
 
-    The strokes that it decides have no effect. On the host alone they are taken to be those that were swum, so
-    that a decision which differs does not spoil the estimates after it; a robot takes its own for granted.
+    The strokes that it decides have no effect. On the host alone they are taken to be those that were swum,
+    so that a decision which differs does not spoil the estimates after it; a robot takes its own for granted.
 
     Args:
         run: recorded run with its path.

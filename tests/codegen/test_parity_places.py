@@ -39,7 +39,7 @@ ROUTE = config_of(load_robot("frog2022").planner)
 CONFIGS = {
     "paper": PlanConfig(),
     "route": dataclasses.replace(ROUTE, transitions_max=0),
-    "heading": dataclasses.replace(ROUTE, transitions_max=0, course_weight_per_m=0.0),
+    "course": dataclasses.replace(ROUTE, transitions_max=0, turn_lead=0.96, course_weight_per_m=55.8),
     "glide": dataclasses.replace(ROUTE, transitions_max=0, glide_weight_per_m=300.0, glide_lead=0.6),
     "walls": dataclasses.replace(
         ROUTE,

@@ -18,7 +18,11 @@ from frogkick_codegen.native import NativeLibrary
 from frogkick_studies.weights import POPULATION, TUNED, Swum, random_path, score, swim, training_paths, tune
 
 CONFIG = dataclasses.replace(config_of(load_robot("frog2022").planner), depth=1)
-LIBRARY = NativeLibrary()
+
+
+@pytest.fixture(scope="module")
+def library() -> NativeLibrary:
+    return NativeLibrary()
 
 
 def test_random_paths_bend_as_much_as_is_asked() -> None:
@@ -34,21 +38,21 @@ def test_random_paths_bend_as_much_as_is_asked() -> None:
         assert np.isfinite(path.points_m).all()
 
 
-def test_a_run_by_the_table_ends_and_repeats() -> None:
+def test_a_run_by_the_table_ends_and_repeats(library: NativeLibrary) -> None:
     path = shape("line")
-    first, again = (swim(LIBRARY, rig.tables(), path, CONFIG, 3, 5) for _ in range(2))
+    first, again = (swim(library, rig.tables(), path, CONFIG, 3, 5) for _ in range(2))
     assert first == again and first.completed == 1.0
     assert 0.0 < first.distance_m < 0.02 and first.progress_mps > 0.015
-    other = swim(LIBRARY, rig.tables(), path, CONFIG, 3, 6)
+    other = swim(library, rig.tables(), path, CONFIG, 3, 6)
     assert other != first
     weightless = dict.fromkeys(("distance_weight_per_m", "angle_weight_per_rad", "glide_weight_per_m"), 0.0)
     aimless = dataclasses.replace(CONFIG, **weightless)
-    assert swim(LIBRARY, rig.tables(), path, aimless, 3, 5).distance_m > first.distance_m
+    assert swim(library, rig.tables(), path, aimless, 3, 5).distance_m > first.distance_m
 
 
-def test_a_run_from_astray_finds_its_path() -> None:
+def test_a_run_from_astray_finds_its_path(library: NativeLibrary) -> None:
     near, beside, turned = (
-        swim(LIBRARY, rig.tables(), shape("line"), CONFIG, 3, 5, astray)
+        swim(library, rig.tables(), shape("line"), CONFIG, 3, 5, astray)
         for astray in ((0.0, 0.0), (1.5, 0.0), (0.0, -2.2))
     )
     for run in (beside, turned):

@@ -86,8 +86,7 @@ typedef struct {
     float look_ahead_m;          /* route: how far along the path a branch's end points */
     float soft_distance_m;       /* route: below it, distance counts by its square */
     float turn_lead;             /* route: x the last turn, by which the robot turns on */
-    float course_weight_per_m;   /* route: x the last motion, which is added to the heading where a branch's end is
-                                  * taken to go */
+    float course_weight_per_m;   /* route: x the last motion; with the heading it is the course of a branch's end */
     float glide_weight_per_m;    /* route: x distance from the path to which a branch's end glides */
     float glide_lead;            /* route: x the last motion, turned on, by which a branch's end glides on */
     float wall_weight_per_m;     /* route: x how far a branch's end, and where it glides to, lie beyond the walls */

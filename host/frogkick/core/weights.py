@@ -77,7 +77,7 @@ class Weights:
     )] = 0.0  # fmt: skip
     course_weight_per_m: Annotated[float, Weight(
         "how much the way that it goes counts beside where it points, for each m of its last stroke",
-        "route: x the last motion, which is added to the heading where a branch's end is taken to go",
+        "route: x the last motion; with the heading it is the course of a branch's end",
     )] = 0.0  # fmt: skip
     glide_weight_per_m: Annotated[float, Weight(
         "cost of each m beside the path to which the robot glides on",

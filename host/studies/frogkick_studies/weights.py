@@ -108,7 +108,7 @@ def swim(
     """Swim a path several times, moved by the table and a little noise.
 
     Args:
-        planner: in C, which answers with the twin's bits in a fifth of the time.
+        planner: in C, which answers with the twin's bits, and sooner.
         runs: number of runs side by side.
         seed: of the noise.
         astray: where they begin, as in ``ASTRAY``.

@@ -58,18 +58,20 @@ class LiveRobot:
     deaf_to: Callable[[Frame], bool] = lambda _frame: False
 
     def __post_init__(self) -> None:
+        self._one_at_a_time = threading.RLock()  # a test restarts it while its line's thread gives it turns
         self.flash = Flash(slot_bytes=16 * PAGE, built_in=self.built_in)
         self.restart()
 
     def restart(self) -> None:
         """Power off and on: disarmed, no path, a clock from 0, and the table that its flash says."""
-        self.flash.boot()
-        self.core = Robot(self.flash.image, 0)
-        assert self.core.error == 0
-        self.core.use_store(self.flash)
-        self._begin_s = self.clock() - self.on_for_s
-        self._received = b""
-        self._next_tick_us = 0
+        with self._one_at_a_time:
+            self.flash.boot()
+            self.core = Robot(self.flash.image, 0)
+            assert self.core.error == 0
+            self.core.use_store(self.flash)
+            self._begin_s = self.clock() - self.on_for_s
+            self._received = b""
+            self._next_tick_us = 0
 
     @property
     def now_us(self) -> int:
@@ -81,22 +83,24 @@ class LiveRobot:
         return min(0.02, max(0.0, (self._next_tick_us - self.now_us) * 1e-6))
 
     def feed(self, data: bytes) -> bytes:
-        self._received += data
-        stream = b""
-        while (end := self._received.find(b"\0")) >= 0:
-            encoded, self._received = self._received[:end], self._received[end + 1 :]
-            try:
-                frame = unpack_frame(encoded)
-            except FrameError:
-                frame = None
-            if encoded and (frame is None or not self.deaf_to(frame)):
-                if frame is not None:
-                    self.heard.append((self.clock(), frame))
-                stream += self._turn(encoded)
-        return stream
+        with self._one_at_a_time:
+            self._received += data
+            stream = b""
+            while (end := self._received.find(b"\0")) >= 0:
+                encoded, self._received = self._received[:end], self._received[end + 1 :]
+                try:
+                    frame = unpack_frame(encoded)
+                except FrameError:
+                    frame = None
+                if encoded and (frame is None or not self.deaf_to(frame)):
+                    if frame is not None:
+                        self.heard.append((self.clock(), frame))
+                    stream += self._turn(encoded)
+            return stream
 
     def tick(self) -> bytes:
-        return self._turn(b"") if self.now_us >= self._next_tick_us else b""
+        with self._one_at_a_time:
+            return self._turn(b"") if self.now_us >= self._next_tick_us else b""
 
     def names(self) -> list[str]:
         """Names of the frames heard."""

@@ -8,6 +8,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.cli.main import run_command
@@ -15,7 +16,17 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import load_robot
 from frogkick_codegen.native import NativeLibrary
-from frogkick_studies.weights import POPULATION, TUNED, Swum, random_path, score, swim, training_paths, tune
+from frogkick_studies.weights import (
+    POPULATION,
+    TUNED,
+    Swum,
+    random_path,
+    score,
+    strayed,
+    swim,
+    training_paths,
+    tune,
+)
 
 CONFIG = dataclasses.replace(config_of(load_robot("frog2022").planner), depth=1)
 
@@ -57,6 +68,11 @@ def test_a_run_from_astray_finds_its_path(library: NativeLibrary) -> None:
     )
     for run in (beside, turned):
         assert run.completed == 1.0 and 2.0 * near.distance_m < run.distance_m < 0.1
+    ends = [
+        swim(library, rig.tables(), shape("line"), CONFIG, 3, 5, (1.5, 0.0), last).distance_m
+        for last in (1000, 10, 3)
+    ]
+    assert ends[0] == beside.distance_m > ends[1] > ends[2] and ends[2] < 2.0 * near.distance_m
 
 
 def test_the_score_prefers_near_runs_but_never_slow_ones() -> None:
@@ -75,6 +91,16 @@ def test_the_score_prefers_near_runs_but_never_slow_ones() -> None:
     assert score([dataclasses.replace(each, completed=0.5) for each in nearer], before) > 0
     lost = [before[0], Swum(0.08, 0.005, 0.0)]
     assert score([before[0], dataclasses.replace(lost[1], progress_mps=0.001)], lost) == 0.0
+
+
+def test_no_run_from_astray_may_end_farther_than_before() -> None:
+    before = [Swum(0.002, 0.02, 1.0), Swum(0.02, 0.03, 1.0)]
+    assert strayed(before, before, 0.005) == 0.0
+    for distance_m, cost in ((0.004, 0.0), (0.01, np.log(2.0)), (0.02, np.log(4.0))):
+        assert strayed([Swum(distance_m, 0.02, 1.0), Swum(0.01, 0.03, 1.0)], before, 0.005) == pytest.approx(
+            cost
+        )
+    assert strayed([before[0], Swum(0.02, 0.03, 0.5)], before, 0.005) > 1.0
 
 
 def test_what_is_found_is_the_best_that_was_tried() -> None:
@@ -96,6 +122,7 @@ def test_what_is_found_is_the_best_that_was_tried() -> None:
     assert kept == {name: getattr(CONFIG, name) for name in kept}
 
 
+@from_ci
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["study", "weights", "--tables", str(rig.small_table()), "--depth", "1"]
     few = ["--trials", "16", "--paths", "2", "--runs", "1"]

@@ -2,7 +2,8 @@
 
 The robot moves as its table says, plus a little noise, so a run takes milliseconds. The search is
 differential evolution (Storn & Price 1997) of the weights' logarithms. Scored are the runs of a healthy
-robot, of one with a worn limb that knows it, and of one that begins astray.
+robot and of one with a worn limb that knows it. A run that begins astray may not end farther from its path
+than with the weights before.
 """
 
 from __future__ import annotations
@@ -45,12 +46,17 @@ JUDGED = ("ellipse", "bends", "eight", "circle")
 ASTRAY = ((1.5, 0.0), (0.0, 1.57), (0.0, -2.2), (-1.5, -1.0), (0.0, 3.1), (1.0, 2.5))
 """Where runs begin that have to find their path: longest strokes to its left, and rad by which they point
 further to the left than it does."""
+STRAIGHT_STROKES = 8.0
+"""Length of the line along which they have to find it, in longest strokes."""
+LAST = 3
+"""How many of their decisions tell whether they have: those before the end."""
 DECISIONS_MOST = 80
 NOISE = 0.01
 """Of each decision: of the longest stroke (position), in radians, and twice as much of its mean speed."""
 _LOST_PROGRESS = 10.0  # what one part of progress weighs against one part of distance
 _UNFINISHED = 5.0
-_SHARE = 0.5  # what the scores of worn limbs and of runs from astray count beside that of the healthy robot
+_SHARE = 0.5  # what the score of worn limbs counts beside that of the healthy robot
+_FOUND = 0.1  # longest strokes from its path: a run from astray has found it
 _WORN = 0.7  # share of its contribution that a worn limb has lost
 POPULATION = 2 * len(TUNED)
 _SPREAD, _FARTHEST = 0.4, 1.6  # of the weights' logarithms: in the first population, and at most
@@ -104,6 +110,7 @@ def swim(
     runs: int,
     seed: int,
     astray: tuple[float, float] = (0.0, 0.0),
+    last: int = DECISIONS_MOST,
 ) -> Swum:
     """Swim a path several times, moved by the table and a little noise.
 
@@ -112,6 +119,7 @@ def swim(
         runs: number of runs side by side.
         seed: of the noise.
         astray: where they begin, as in ``ASTRAY``.
+        last: only so many of each run's last decisions count for its distance.
     """
     rng, period_s = np.random.default_rng(seed), tables.period_us * 1e-6
     stroke_m, points = float(tables.stroke_max_m), len(path.x_m)
@@ -126,7 +134,7 @@ def swim(
     use, along, lost = np.zeros((runs, LIMBS_MAX)), np.zeros(runs), np.zeros(LIMBS_MAX, dtype=np.int64)
     lost[: len(tables.lost)] = tables.lost
     decisions, live = np.full(runs, DECISIONS_MOST), np.arange(runs)
-    distances = []
+    distances = np.full((DECISIONS_MOST, runs), np.nan)
     for decision in range(DECISIONS_MOST):
         rows = planner.plan_batch(
             tables.image, path, config, state[live], limb_use=use[live], along_points=along[live], lost=lost
@@ -135,7 +143,7 @@ def swim(
         there = along[live] >= points - 1.001
         decisions[live[there]] = decision
         drawn = noise * rng.normal(size=(runs, 6))
-        distances += rows["distance_m"][~there].tolist()
+        distances[decision, live[~there]] = rows["distance_m"][~there]
         state[live] = rows["predicted"] + drawn[live]
         use[live] = rows["predicted_limb_use"]
         live = live[~there]
@@ -143,8 +151,9 @@ def swim(
             break
     arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
     way_m = np.interp(along, np.arange(points), arc_m)
+    counts = np.arange(DECISIONS_MOST)[:, None] >= decisions - last
     return Swum(
-        float(np.mean(distances)),
+        float(np.nanmean(distances[counts])),
         float(np.mean(way_m / (period_s * np.maximum(decisions, 1)))),
         float(np.mean(decisions < DECISIONS_MOST)),
     )
@@ -169,6 +178,17 @@ def score(swum: Sequence[Swum], before: Sequence[Swum]) -> float:
         lost = -np.log(np.maximum(progress[0, whole], 1e-6) / np.maximum(progress[1, whole], 1e-6))
     unfinished = np.maximum(0.0, completed[1] - completed[0]).mean()
     return float(ratio + _LOST_PROGRESS * max(0.0, lost.mean()) + _UNFINISHED * unfinished)
+
+
+def strayed(swum: Sequence[Swum], before: Sequence[Swum], near_m: float) -> float:
+    """Return how much farther the worst run from astray ends than before: 0 where it is near, or none does.
+
+    Args:
+        near_m: a distance at which a run has found its path.
+    """
+    far, then = (np.array([max(run.distance_m, near_m) for run in runs]) for runs in (swum, before))
+    unfinished = max(0.0, max(b.completed - a.completed for a, b in zip(swum, before, strict=True)))
+    return float(max(0.0, np.log(far / then).max()) + _UNFINISHED * unfinished)
 
 
 def tune(
@@ -275,7 +295,7 @@ def run(config: Weights) -> WeightsTuned:
             name: swim(library, of, path, weights, config.runs, config.seed) for name, path in paths.items()
         }
 
-    first = list(training.values())[: len(BENDS_RAD)]
+    straight = from_waypoints(np.array([[0.0, 0.0], [STRAIGHT_STROKES * stroke_m, 0.0]]), smooth=False)
 
     def trial(weights: PlanConfig) -> tuple[list[Swum], list[Swum], list[Swum]]:
         """Runs of the healthy robot, of one after the other limb worn, as it has learned, and from astray."""
@@ -283,8 +303,8 @@ def run(config: Weights) -> WeightsTuned:
             list(runs(training, weights).values()),
             [swum for limb in worn for swum in runs(curved, weights, limb).values()],
             [
-                swim(library, tables, first[k % len(first)], weights, config.runs, config.seed, astray)
-                for k, astray in enumerate(ASTRAY)
+                swim(library, tables, straight, weights, 2 * config.runs, config.seed, astray, LAST)
+                for astray in ASTRAY
             ],
         )
 
@@ -296,15 +316,14 @@ def run(config: Weights) -> WeightsTuned:
         )
     if planner.course_weight_per_m == 0.0:
         start = dataclasses.replace(start, course_weight_per_m=2.0 / stroke_m)
+
+    def judge(weights: PlanConfig) -> float:
+        healthy, limbs, astray = trial(weights)
+        whole = score(healthy, before[0]) + strayed(astray, before[2], _FOUND * stroke_m)
+        return whole + _SHARE * score(limbs, before[1]) if limbs else whole
+
     with shown(True, "weights tried") as tell:
-        found = tune(
-            lambda weights: sum(
-                share * score(after, then)
-                for share, after, then in zip((1.0, _SHARE, _SHARE), trial(weights), before, strict=True)
-                if then
-            ),
-            start, config.trials, np.random.default_rng(config.seed), tell,
-        )  # fmt: skip
+        found = tune(judge, start, config.trials, np.random.default_rng(config.seed), tell)
     weights: dict[str, Any] = {name: float(f"{getattr(found, name):.3g}") for name in TUNED}
     found = dataclasses.replace(found, **weights)
     return WeightsTuned(weights, runs(others, planner), runs(others, found))

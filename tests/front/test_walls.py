@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 
 import frogkick as fk
 from frogkick.core.errors import InputError
@@ -27,6 +28,7 @@ def test_walls_stand_as_far_as_the_robot_reaches(table: fk.Table) -> None:
     made = walled(plain, "0,-1,2,1", table)
     away_m = np.hypot(0.045, 0.045) + 0.0355 + MARGIN_M
     assert (made.wall_weight_per_m, made.wall_glide) == (WALL_WEIGHT_PER_M, WALL_GLIDE)
+    assert plain.course_weight_per_m > made.course_weight_per_m == 0.0, "the heading alone counts there"
     found = (made.wall_x_min_m, made.wall_x_max_m, made.wall_y_min_m, made.wall_y_max_m)
     assert found == pytest.approx((away_m, 2.0 - away_m, away_m - 1.0, 1.0 - away_m))
     assert walled(plain, (0.0, -1.0, 2.0, 1.0), table) == made
@@ -66,6 +68,7 @@ def test_a_wall_turns_a_plan_away(table: fk.Table) -> None:
     assert kept.predicted[2] < free.predicted[2] and kept.cost > free.cost
 
 
+@from_ci
 def test_before_a_wall_the_robot_turns(table: fk.Table) -> None:
     """A path that leads slantwise 60 mm further than the robot may go."""
     path = from_waypoints([(0.0, 0.0), (0.5, -0.08)])

@@ -23,7 +23,7 @@ LEVELS = ("quick", "ci", "full")
 """How many cases tests count: for a newcomer, for each change, for a release (see ``count``)."""
 LEVEL = os.environ.get("FK_LEVEL") or "quick"
 FULL = LEVEL == "full"
-from_ci = pytest.mark.skipif(LEVEL == "quick", reason="takes long: FK_LEVEL=ci")
+from_ci = pytest.mark.from_ci
 """A test that make test leaves out: cheaper ones hold most of it, and all take five minutes."""
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for."""
@@ -85,7 +85,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Which level ran, and with which counts."""
+    """Which level ran, with which counts, and how many tests it left out."""
     terminalreporter.section(f"level {LEVEL} of {', '.join(LEVELS)} (FK_LEVEL); cases by place")
     for place in sorted(counted):
         terminalreporter.write_line(f"{counted[place]:>9,} {place}")
@@ -161,12 +161,16 @@ def compile_once() -> None:
     Dispatcher.compile = compile_or_load
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The dearest first: files are dealt to processes in this order, which then end together.
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """In make test without the tests from_ci; the dearest first.
 
-    Before them three files that compile different parts in a fresh clone: rods, planner and C. Files that
-    wait for a radio in real time are spread among those that compute, or all processes would wait at once.
+    Files are dealt to processes in this order, which then end together. Before them three files that compile
+    different parts in a fresh clone: rods, planner and C. Files that wait for a radio in real time are spread
+    among those that compute, or all processes would wait at once.
     """
+    if LEVEL == "quick":
+        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("from_ci")])
+        items[:] = [item for item in items if not item.get_closest_marker("from_ci")]
     dear = (
         "studies/test_convergence.py", "codegen/test_parity.py", "core/test_core_fuzz.py",
         "studies", "front", "identification", "library", "cli/test_commands.py", "robot/test_family_chain.py",

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 from tests.bench import coremark, elastica_rod, rods, startup
+from tests.conftest import from_ci
 
 from frogkick.core.errors import InputError
 
 
+@from_ci
 def test_the_benchmark_tells_every_cost(capsys: pytest.CaptureFixture[str]) -> None:
     rods.main(["--quick"])
     said = capsys.readouterr().out

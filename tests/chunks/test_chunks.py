@@ -132,6 +132,7 @@ def test_distributed_is_loaded_only_when_asked_for() -> None:
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 
 
+@from_ci
 @needs_distributed
 @pytest.mark.parametrize("listens", [False, True])
 def test_where_no_scheduler_answers(listens: bool, tmp_path: Path) -> None:
@@ -255,6 +256,7 @@ def kill_one(cluster: Cluster) -> None:
     victim.wait()
 
 
+@from_ci
 @needs_distributed
 def test_a_sweep_with_a_worker_killed_in_it_gives_the_same_bytes(cluster: Cluster, tmp_path: Path) -> None:
     frequencies = [1.9, 2.0, 2.1, 2.2, 2.3][: count(5, 5, 3)]
@@ -274,6 +276,7 @@ def test_a_sweep_with_a_worker_killed_in_it_gives_the_same_bytes(cluster: Cluste
     cluster.workers += [cluster.add_worker() for _ in range(count(1, 1, 0))]
 
 
+@from_ci
 @needs_distributed
 def test_the_command_gives_the_same_files(cluster: Cluster, tmp_path: Path) -> None:
     options = ["sweep", "--frequencies", "2.2,2.3", "--egain", "50", "--phases", "2", "--json"]

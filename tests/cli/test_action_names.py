@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import from_ci
 from tests.runs import rig
 
 import frogkick as fk
@@ -26,6 +27,7 @@ def worded(text: str) -> str:
     return text.replace(' "\n', '"\n')
 
 
+@from_ci
 def test_a_robot_whose_actions_are_words_swims_by_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import pytest
 from tests.cli.commands import frogkick, listing
-from tests.conftest import count, from_ci
+from tests.conftest import count, from_ci, some
 from tests.library.synthetic import Known
 from tests.runs import rig
 
@@ -144,6 +144,7 @@ def test_tables_build_and_info(here: Path, library: Path, capsys: Capture) -> No
     assert quick.json["error"] is None
 
 
+@from_ci
 def test_a_table_of_another_robot_finds_its_file(here: Path, tmp_path: Path, capsys: Capture) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text('base = "frog2022"\nid = "tri"\n[frame]\ndrag_normal = 0.9\n')
@@ -204,7 +205,7 @@ def test_codegen(here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -
     assert all(name.startswith("emitted") for name in first)
 
 
-@pytest.mark.parametrize("target", ["bench", "native"])
+@pytest.mark.parametrize("target", some(["native", "bench"], 1))
 def test_firmware_build(
     here: Path,
     capsys: Capture,
@@ -240,6 +241,7 @@ def test_firmware_build(
     assert b"workshop" not in image
 
 
+@from_ci
 def test_firmware_size_and_test(here: Path, capsys: Capture) -> None:
     table = rig.small_table()
     size = frogkick(capsys, "firmware", "size", "--tables", table, "--json")
@@ -262,7 +264,14 @@ RUN_KEYS = {
 
 @pytest.mark.parametrize(
     ("robot", "plan", "path", "depth"),
-    [("virtual", "onboard", "line", "1"), ("pool", "host", "sine", "1"), ("pool", "onboard", "ellipse", "2")],
+    some(
+        [
+            ("virtual", "onboard", "line", "1"),
+            ("pool", "host", "sine", "1"),
+            ("pool", "onboard", "ellipse", "2"),
+        ],
+        2,
+    ),
 )
 def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, depth: str) -> None:
     options = (
@@ -336,6 +345,7 @@ def test_commands_make_their_own_table_where_none_is_given(
     assert used.kind == "affine" and used.crc32 == read_run("run.h5").table_crc
 
 
+@from_ci
 def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from frogkick.front.default_tables import default_tables
 
@@ -371,7 +381,7 @@ def test_two_that_want_the_same_table_at_once_both_get_it(tmp_path: Path) -> Non
     assert sum("library for" in stderr for _, stderr in told) == 1, "built more than once"
 
 
-@pytest.mark.parametrize("plan", ["onboard", "host", "both"])
+@pytest.mark.parametrize("plan", some(["onboard", "host", "both"], 1))
 def test_replay_a_recorded_run(here: Path, capsys: Capture, frog2022_dir: Path, plan: str) -> None:
     run = frog2022_dir / "control" / "line1.csv"
     done = frogkick(capsys, "replay", run, "--plan", plan, "--tables", rig.small_table(), "--json")
@@ -385,6 +395,7 @@ def test_replay_a_recorded_run(here: Path, capsys: Capture, frog2022_dir: Path, 
     assert listing(here) == {}
 
 
+@from_ci
 def test_parity(here: Path, capsys: Capture) -> None:
     options = ("--states", "300", "--chip-states", "60", "--loop-decisions", str(count(200, 200, 20)))
     done = frogkick(capsys, "parity", *options, "--tables", rig.small_table(), "--json")

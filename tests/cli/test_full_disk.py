@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from tests.conftest import from_ci
 
 import frogkick as fk
 from frogkick.core import files
@@ -45,6 +46,7 @@ def test_one_line_names_the_file(tmp_path: Path, arguments: tuple[str, ...], nam
     assert list(tmp_path.iterdir()) == []
 
 
+@from_ci
 def test_an_export_leaves_no_file_and_no_folder(tmp_path: Path) -> None:
     fk.run(robot="pool", time_limit_s=6.0, out=tmp_path / "run.h5")
     done = subprocess.run(
@@ -55,6 +57,7 @@ def test_an_export_leaves_no_file_and_no_folder(tmp_path: Path) -> None:
     assert done.returncode == 2 and [each.name for each in tmp_path.iterdir()] == ["run.h5"]
 
 
+@from_ci
 def test_a_module_that_a_full_disk_cut_short_is_named(tmp_path: Path) -> None:
     """By a Python that kept it so: once "interrupted", for ever."""
     from frogkick.cli import camera
@@ -77,6 +80,7 @@ def test_a_module_that_a_full_disk_cut_short_is_named(tmp_path: Path) -> None:
     subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=True)
 
 
+@from_ci
 def test_a_run_s_log_does_not_end_the_process(tmp_path: Path) -> None:
     """As the HDF5 library does where it cannot write on."""
     program = (
@@ -95,6 +99,7 @@ def test_a_run_s_log_does_not_end_the_process(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@from_ci
 def test_a_library_looks_for_room_before_it_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from tests.cli.commands import frogkick
-from tests.conftest import count
+from tests.conftest import count, from_ci
 
 from frogkick.core.progress import progress_bar
 from frogkick.link.wire import Inbox
@@ -73,6 +73,7 @@ def test_library_build(tmp_path: Path, whole_group: bool) -> None:
             os.killpg(process.pid, signal.SIGKILL)
 
 
+@from_ci
 def test_a_simulated_run_leaves_what_was_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -203,6 +204,7 @@ def test_a_line_of_progress_is_one_write(monkeypatch: pytest.MonkeyPatch) -> Non
     assert written == [f"library: {done}/2, so far\n" for done in range(3)]
 
 
+@from_ci
 @pytest.mark.parametrize("when", ["before", "after_in_parent", "after_in_child"])
 def test_while_processes_are_started(tmp_path: Path, when: str) -> None:
     """In what Python runs around a fork nothing can be raised; a new process has nobody to catch it."""

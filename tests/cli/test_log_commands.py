@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.cli.main import run_command
@@ -39,6 +40,7 @@ def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
     return dict(json.loads(capsys.readouterr().out))
 
 
+@from_ci
 def test_show_says_what_the_run_was(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = folder / "sine.png"
     found = told(capsys, "log", "show", str(folder / "sine.h5"), "--out", str(picture))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import from_ci
 from tests.runs import rig
 
 import frogkick as fk
@@ -98,6 +99,7 @@ def test_two_runs_do_not_write_one_file(tmp_path: Path, capsys: pytest.CaptureFi
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
+@from_ci
 def test_a_path_that_no_choice_of_actions_follows_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     asked = ("run", "--robot", "pool", "--tables", rig.small_table(), "--simulated-time", "30", "--path")
     tight = frogkick(capsys, *asked, "sine")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from elftools.elf.elffile import ELFFile
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
@@ -118,6 +118,7 @@ def test_the_directory_builds_alone_with_its_one_command_and_runs(
         state = wanted.predicted
 
 
+@from_ci
 @pytest.mark.parametrize("level", some(["-O2", "-O0", "-Os"], 1))
 def test_it_links_for_the_chip_without_any_library(emitted: Path, tmp_path: Path, level: str) -> None:
     """Nothing undefined but what a start-up file gives: the compiler may ask for memcpy and memset."""

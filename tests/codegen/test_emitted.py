@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from elftools.elf.elffile import ELFFile
 from tests.codegen import made_up
-from tests.conftest import some
+from tests.conftest import from_ci, some
 
 from frogkick.front.emitted import measure
 from frogkick.planner.plan import PlanConfig, plan
@@ -68,6 +68,7 @@ def first_action(image: bytes) -> int:
     return plan(open_image(image), Line(), PlanConfig(), np.zeros(6, dtype=np.float32)).action
 
 
+@from_ci
 def test_the_readme_names_every_file(emitted: Emitted) -> None:
     text = (emitted.folder / "README.md").read_text()
     for file in emitted.folder.iterdir():
@@ -128,6 +129,7 @@ def defined(folder: Path) -> dict[str, int]:
     return {name: int(value) for name, value in re.findall(r"#define FK_SIZE_(\w+) (\d+)U", text)}
 
 
+@from_ci
 def test_the_sizes_are_those_of_the_image(emitted: Emitted, tmp_path: Path) -> None:
     sizes = defined(emitted.folder)
     elf = build_planner(emitted.folder, tmp_path / "planner.elf")
@@ -158,6 +160,7 @@ def test_the_readme_tells_the_times_that_were_counted(emitted: Emitted) -> None:
     assert times[2].mean_ms > 2 * times[1].mean_ms
 
 
+@from_ci
 def test_the_same_table_gives_the_same_figures(emitted: Emitted, tmp_path: Path) -> None:
     (tmp_path / "other.fkt").write_bytes(emitted.image)
     assert measure(tmp_path / "other.fkt", states=STATES) == emitted.figures
@@ -173,6 +176,7 @@ def names_of(files: Sequence[Path]) -> set[str]:
     return {file.name for file in files}
 
 
+@from_ci
 def test_every_warning_is_an_error_and_none_is_there(emitted: Emitted, tmp_path: Path) -> None:
     """Beyond the README's own command: what clang knows besides."""
     more = (

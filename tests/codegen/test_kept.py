@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.codegen import made_up
+from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.core.files import cache_folder
@@ -68,6 +69,7 @@ def test_the_same_firmware_is_compiled_once(target: str, tmp_path: Path, calls: 
     }
 
 
+@from_ci
 def test_whatever_is_read_or_said_makes_another_one(
     tmp_path: Path, calls: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,6 +104,7 @@ def test_whatever_is_read_or_said_makes_another_one(
     assert not is_new()
 
 
+@from_ci
 def test_where_firmware_is_built_what_has_not_changed_stays_and_nothing_else(
     tmp_path: Path, calls: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,6 +131,7 @@ def test_where_firmware_is_built_what_has_not_changed_stays_and_nothing_else(
         assert here.count(b"\n") == there.count(b"\n"), file.name
 
 
+@from_ci
 def test_a_damaged_one_is_not_believed(tmp_path: Path, calls: list[Path]) -> None:
     whole = build("native", table(tmp_path), ROBOT, tmp_path / "one").image.read_bytes()
     assert len(whole) > 10_000

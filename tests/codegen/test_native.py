@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
@@ -192,6 +192,7 @@ def _build(number: int) -> str:
     return build_shared("race", {"race.c": source}).name
 
 
+@from_ci
 def test_two_processes_may_build_at_once_and_content_is_built_once(own_cache: Path) -> None:
     with multiprocessing.get_context("spawn").Pool(2) as pool:  # which inherits the environment
         names = pool.map(_build, [0, 1], chunksize=1)

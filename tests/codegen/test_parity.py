@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.planner import synthetic
 
 from frogkick.core.errors import FrogkickError, InputError
@@ -227,6 +227,7 @@ def test_a_changed_rule_in_the_c_is_found(name: str) -> None:
     assert "state [" in found.first_failure
 
 
+@from_ci
 def test_a_changed_byte_of_the_table_is_found(library: NativeLibrary) -> None:
     row_bytes = (TABLES.sections.length - TABLES.sections.transitions) // 300
     entry = TABLES.sections.transitions + row_bytes * 150 + row_bytes // 2

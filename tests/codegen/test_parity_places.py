@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from tests.codegen import made_up
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.planner import synthetic
 
 from frogkick.core.files import write_bytes
@@ -121,6 +121,7 @@ def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
         assert pair.mismatches == 0, pair.first_failure
 
 
+@from_ci
 @pytest.mark.parametrize("config", CONFIGS)
 def test_so_it_does_over_very_many_states(built: Built, config: str) -> None:
     """The same instructions, not counted: very many states, few of them deep."""
@@ -160,6 +161,7 @@ def test_a_whole_loop_is_the_same_everywhere(built: Built, config: str, depth: i
         assert call_mismatches(loop, live_on_chip(built.bench, loop.calls)) == []
 
 
+@from_ci
 @pytest.mark.parametrize("built", ["affine"], indirect=True)
 def test_a_run_started_again_after_its_fixes_were_lost_begins_at_the_path_s_start(built: Built) -> None:
     settings = dataclasses.replace(CONFIGS["route"], depth=1)
@@ -198,6 +200,7 @@ LOOP_MUTATIONS = {
 }
 
 
+@from_ci
 @pytest.mark.parametrize("built", ["nearest"], indirect=True)
 @pytest.mark.parametrize("name", some(LOOP_MUTATIONS, 1))
 def test_a_changed_core_is_found_by_the_loop(

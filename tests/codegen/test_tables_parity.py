@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.planner import synthetic
 
 from frogkick.planner.lookup import (
@@ -215,6 +215,7 @@ def queries(tables: Tables, number: int, grid: int) -> Int64:
     return np.clip(codes, -VELOCITY_CODE_MAX, VELOCITY_CODE_MAX)
 
 
+@from_ci
 @pytest.mark.parametrize("grid", [1, 400])
 def test_the_nearest_of_8503_states_is_that_of_brute_force(library: NativeTables, grid: int) -> None:
     tables = full_size(grid)

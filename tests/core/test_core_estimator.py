@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.core.core import ACTION_ROWS, FFI, PERIOD_US, RESTING, STATUS, cases, library, mutated
 from tests.core.estimator_rig import (
     ESTIMATOR_BYTES_MAX,
@@ -114,6 +114,7 @@ def expected(seed: int) -> list[object]:
     return answers(life, CEstimator(life.table))
 
 
+@from_ci
 def test_limbs_that_have_lost_much_are_learned_in_these_lives() -> None:
     """Else the bits above say nothing of it: the limb that lost most is named, and a limb that comes back."""
     named, unnamed = 0, 0

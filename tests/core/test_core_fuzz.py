@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.conftest import LEVEL, count, some
+from tests.conftest import LEVEL, count, from_ci, some
 from tests.core.core import FFI, cases, image, library, source_files
 
 from frogkick.link.auth import words
@@ -165,6 +165,7 @@ NO_GCC = pytest.mark.skipif(
 )
 
 
+@from_ci
 @pytest.mark.parametrize("way", ["zig", pytest.param("gcc", marks=[NO_GCC, pytest.mark.extra])])
 def test_inputs_guided_by_coverage_under_sanitizers(way: str, tmp_path: Path) -> None:
     told = guided(tmp_path, way, source_files(), count(20_000, 1_000_000, 5000))
@@ -180,6 +181,7 @@ PLANTED = {
 }
 
 
+@from_ci
 @NO_GCC
 @pytest.mark.parametrize("name", some(PLANTED, 1))
 def test_a_planted_fault_is_found_by_the_monitor(name: str, tmp_path: Path) -> None:

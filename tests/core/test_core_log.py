@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
+from tests.conftest import from_ci
 from tests.core.core import Robot, cases, core
 from tests.core.log_rig import RING_BYTES, Asking, Log, content_of, fetched, names, robot_with_log
 
@@ -102,6 +103,7 @@ def test_a_log_goes_on_over_a_reset_where_all_of_it_is_whole() -> None:
     assert log.records()[-2:-1] == before[-1:]
 
 
+@from_ci
 def test_every_wrong_bit_is_found() -> None:
     log = Log()
     for number in range(20):

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.core.core import ACTION, COVERAGE_DIR, FFI, Robot, cases, core, image, mutated, source_files
 from tests.core.core import library as core_library
 from tests.core.log_rig import RING_BYTES, Log, fetched, robot_with_log
@@ -155,6 +155,7 @@ def changed(log: ChipLog, chosen: Record, content: bytes, fitting: bool) -> Chip
     return ChipLog(tuple(stretches), log.lost)
 
 
+@from_ci
 def test_every_wrong_bit_is_a_mismatch() -> None:
     """Whether the record's check tells it, or somebody made that fit again."""
     log = fetched(run(2, 8.0))

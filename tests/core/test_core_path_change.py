@@ -256,7 +256,7 @@ def places(name: str, many: int) -> list[tuple[float, float]]:
     return [(float(np.float32(x)), float(np.float32(y))) for x, y in some_places]
 
 
-@pytest.mark.parametrize("name", CURVES)
+@pytest.mark.parametrize("name", some(CURVES, 1))
 def test_where_a_robot_goes_on_is_the_same_in_c_and_python(name: str) -> None:
     path = curve(name)
     for x_m, y_m in places(name, max(20, cases(100, 3000))):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.core.core import FFI, Robot, cases, core, image, library, mutated
 from tests.core.log_rig import fetched, robot_with_log
 from tests.core.store_rig import Flash, crc_of
@@ -120,6 +121,7 @@ def test_all_that_is_no_learning_forgets_by_itself() -> None:
     assert known(reset(kept)) == (ON, [0, 0, 0, 0])
 
 
+@from_ci
 def test_one_flipped_bit_forgets() -> None:
     content = whole()
     assert known(reset(record(content))) == (ON, LOST)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.conftest import from_ci
 
 MAIN = """
 from frogkick.core.compiled import kept
@@ -21,6 +22,7 @@ print(total(Pair(1.0, 2.0)))
 """
 
 
+@from_ci
 @pytest.mark.parametrize(
     ("decorator", "returncode"), [("kept()", 0), ("__import__('numba').njit(cache=True)", 1)]
 )

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import FULL, REPOSITORY, count
+from tests.conftest import FULL, REPOSITORY, count, from_ci
 
 RODS = """
 import numpy as np
@@ -87,6 +87,7 @@ def test_another_processor_computes_the_same_bits(script: str, processor: str, t
     assert simulated(script, processor, tmp_path / processor) == simulated(script, "", tmp_path / "own")
 
 
+@from_ci
 @x86_only
 def test_the_planner_has_the_same_bits_with_any_library_beneath_it() -> None:
     """The twin; the C by every compiler, and on the chip, is compared with it by tests/codegen."""
@@ -97,6 +98,7 @@ def test_the_planner_has_the_same_bits_with_any_library_beneath_it() -> None:
     assert {name: said(TWIN, changed) for name, changed in machines.items()} == dict.fromkeys(machines, own)
 
 
+@from_ci
 @x86_only
 def test_a_library_is_the_same_to_eight_digits() -> None:
     """States that a robot meets are averaged by linear algebra, whose sums go in another order elsewhere."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.der.energy import bending_energy, kinetic_energy, stretching_energy
 from tests.der.rig import straight_rod
 from tests.der.test_physics import alone
@@ -88,6 +89,7 @@ def test_a_limb_s_plate_is_a_third_of_a_kilogram_per_metre() -> None:
     assert plate_mass_kg_per_m(square, 1000.0) == pytest.approx(0.579 * 250.0 * np.pi * 0.024**2, rel=1e-9)
 
 
+@from_ci
 @pytest.mark.parametrize("seed", range(3))
 def test_the_force_is_lagrange_s_of_the_kinetic_energy(seed: int) -> None:
     """f = dT/dx - d/dt(dT/dv) along x(t) = x + v t + a t^2 / 2, by central differences."""

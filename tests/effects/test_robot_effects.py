@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 
 from frogkick.core.errors import InputError
 from frogkick.effects import effects_of, rods_of
@@ -40,6 +40,7 @@ def test_a_worn_limb_in_the_file_changes_the_transitions_that_fire_it(tmp_path: 
     assert abs(moved(worn, "B")[2]) > 0.02 > abs(moved(PLAIN, "B")[2])
 
 
+@from_ci
 def test_history_and_resistance_act_over_several_strokes(tmp_path: Path) -> None:
     fading = robot_with(
         '\n[[effect]]\nname = "limb_memory"\nloss = 0.4\n[[effect]]\nname = "yaw_drag"\nlinear_nms = 1e-3\n',

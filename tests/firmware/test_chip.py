@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from bare_chip import NO_WAITS, bare
 from bench_build import build_text
+from tests.conftest import from_ci
 
 from frogkick.core.errors import InputError
 from frogkick.pool.chip import ChipError, VirtualChip
@@ -291,6 +292,7 @@ def test_memory_accesses_inside_conditional_blocks(tmp_path: Path, step_cycles: 
     assert (whole.cycles, whole.instructions) == (chip.cycles, chip.instructions)
 
 
+@from_ci
 def test_without_the_crystal_time_is_the_internal_oscillator_s(tmp_path: Path) -> None:
     """A pulse that nobody guards, by a timer: 8 % longer before the crystal runs, and right afterwards."""
     body = """

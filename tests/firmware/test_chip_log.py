@@ -6,7 +6,7 @@ import random
 from functools import cache
 
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.runs import rig
 
 from frogkick.link.layout import link_layout
@@ -115,6 +115,7 @@ def test_a_wrong_bit_is_a_mismatch(name: str) -> None:
         assert told.mismatches != [], f"place {place}"
 
 
+@from_ci
 def test_fetching_in_a_run_changes_nothing_and_goes_on_where_it_ended() -> None:
     port = rig.port("virtual")
     session, path = Session(port), shape("line")

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from bare_chip import NO_WAITS, bare
 from bench_build import build_text
+from tests.conftest import from_ci
 
 from frogkick.pool.chip import ChipError, CostModel, VirtualChip
 
@@ -130,6 +131,7 @@ def cycles_of(folder: Path, code: str, cost: CostModel) -> int:
     return chip.cycles
 
 
+@from_ci
 def test_the_cache_holds_what_fits_and_no_more(tmp_path: Path) -> None:
     """Lines of 16 bytes: a straight run misses each once, a loop in 2 KB not again, a larger one always."""
     free = CostModel(branch_refill_cycles=2, fetch_wait_uncached_parts=0, cache_miss_cycles=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from test_hang import armed, firing
+from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.link.layout import link_layout
@@ -104,6 +105,7 @@ def test_a_reset_with_a_low_supply() -> None:
     assert told(session) == (STATE["DISARMED"], SUPPLY["LOW"])
 
 
+@from_ci
 @pytest.mark.parametrize("onboard", [True, False])
 def test_a_run_ends_where_the_supply_falls(onboard: bool) -> None:
     """The host says why; the robot's log tells it, and is decided again bit for bit up to the end."""

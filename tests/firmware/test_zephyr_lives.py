@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.conftest import from_ci
 from zephyr_robot import ROBOT, Life, ZephyrRobot, configuration, defines, play
 
 from frogkick.link import auth
@@ -19,6 +20,7 @@ from frogkick_codegen.firmware import robot_config
 STATE = link_layout().state
 
 
+@from_ci
 def test_a_stroke_over_the_radio(life: Life) -> None:
     session = life.session
     session.request("ARM")
@@ -205,6 +207,7 @@ def test_a_supply_that_falls_disarms(life: Life) -> None:
     assert life.state() == STATE["ARMED"]
 
 
+@from_ci
 def test_a_battery_that_is_low_at_rest_disarms(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,6 +74,7 @@ def test_a_script_runs(script: Path, quick: Path, capsys: pytest.CaptureFixture[
         assert "gain 0.7" in said or "gain 0.6" in said, said
 
 
+@from_ci
 def test_the_notebook_runs_and_draws(quick: Path) -> None:
     """Its cells, one after another; the value of each cell's last line is what it shows."""
     cells = json.loads((EXAMPLES / "tour.ipynb").read_text(encoding="utf-8"))["cells"]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
-from tests.conftest import REPOSITORY, count
+from tests.conftest import REPOSITORY, count, from_ci
 from tests.identification.made import robot as few_pieces
 from tests.link.live_robot import LiveRobot
 from tests.runs import rig
@@ -110,6 +110,7 @@ def test_a_robot_is_one_line_and_a_picture(robot: fk.Robot, tmp_path: Path) -> N
     assert fk.load_robot(tmp_path / "robot.toml") == robot
 
 
+@from_ci
 def test_a_robot_with_an_effect_of_ones_own_is_saved_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
@@ -238,6 +239,7 @@ def test_places_and_planners_that_there_are_not(table: fk.Table, robot: fk.Robot
         pass
 
 
+@from_ci
 def test_files_and_names_are_taken_wherever_objects_are(
     runs: list[fk.Run], table: fk.Table, tmp_path: Path
 ) -> None:
@@ -269,6 +271,7 @@ def test_what_is_no_object_of_ours_is_named(table: fk.Table) -> None:
         fk.effects.LimbWear(limb="rear_left", gain=-3.0)
 
 
+@from_ci
 def test_a_worn_limb_is_found_and_given_back_as_a_robot(
     readme: dict[str, Any], runs: list[fk.Run], robot: fk.Robot, tmp_path: Path
 ) -> None:

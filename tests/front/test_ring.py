@@ -58,6 +58,7 @@ def test_the_ring_leaves_every_stage_behind(round_once: tuple[Ring, Path, list[s
     assert {"library, tables", "C, firmware", "swim the line"} <= ring.stage_s.keys()
 
 
+@from_ci
 def test_a_ring_that_tells_too_little_says_so(
     round_once: tuple[Ring, Path, list[str]], tmp_path: Path
 ) -> None:

@@ -54,6 +54,7 @@ def late() -> list[Segments]:
     return [make_swim([WEAR, {"name": "fix_latency", "delay_s": 0.12}], 3, 16)]
 
 
+@from_ci
 def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) -> None:
     rows = nominal_fit(late, robot())[1]
     terms = (term("steady_wrench", 1e-4, 0.0, 0.0), term("limb_wear rear_left"), term("fix_latency", 0.1))
@@ -96,6 +97,7 @@ def test_a_parameter_at_its_bound_is_no_end_of_the_search() -> None:
         assert _at_bound(Model(robot(), (worn.at(values),), QUIET)) == at_bound
 
 
+@from_ci
 def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Segments]) -> None:
     """Every stroke late is nearly the same as every fix late, and not quite where the worn limb is known."""
     rows = nominal_fit(late, robot())[1]
@@ -179,6 +181,7 @@ def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Segments])
     assert superfluous_term(fitted, folds, late) is None
 
 
+@from_ci
 def test_what_few_draws_of_the_runs_would_take_is_unstable(
     late: list[Segments], whole: list[Segments]
 ) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import make_swim, robot
+from tests.conftest import from_ci, some
 
 from frogkick.core.errors import InputError
 from frogkick.effects import make_effects
@@ -62,13 +63,17 @@ def test_what_goes_at_once_is_what_would_go_alone(swim: Segments, monkeypatch: p
             assert np.array_equal(together.difference, alone.difference)
 
 
+@from_ci
 @pytest.mark.parametrize(
     "effect",
-    [
-        {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004},
-        {"name": "vortex", "circulation_m2ps": 0.005, "x_m": 0.1, "y_m": 0.0, "core_m": 0.15},
-        {"name": "wall", "side": "y_low", "at_m": 0.3, "drag_ns_per_m": 1.0, "hardness": 0.6},
-    ],
+    some(
+        [
+            {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004},
+            {"name": "vortex", "circulation_m2ps": 0.005, "x_m": 0.1, "y_m": 0.0, "core_m": 0.15},
+            {"name": "wall", "side": "y_low", "at_m": 0.3, "drag_ns_per_m": 1.0, "hardness": 0.6},
+        ],
+        1,
+    ),
     ids=lambda effect: str(effect["name"]),
 )
 def test_who_swims_beside_a_lane_makes_no_difference(
@@ -98,6 +103,7 @@ LAW = {
 }
 
 
+@from_ci
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one process does it all")
 def test_parts_on_several_processors_are_what_one_would_make(
     swim: Segments, monkeypatch: pytest.MonkeyPatch

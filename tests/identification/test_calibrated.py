@@ -46,6 +46,7 @@ def test_a_robot_measured_before_is_a_relative_of_its_own_body_alone() -> None:
     assert not {"hull", "limb_mount", "limb_fatigue", "munk_moment"} & alone, "told together only"
 
 
+@from_ci
 def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
     swims = [make_swim([], seed, 14) for seed in (3, 4)]
     _, rows, nominal = nominal_fit(swims, robot())
@@ -54,6 +55,7 @@ def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
     )
 
 
+@from_ci
 def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which effects and parameters a relative has is kept, but none of its values."""
     swims = [make_swim([], seed, 5) for seed in (3, 4)]
@@ -87,6 +89,7 @@ def test_a_model_is_held_against_at_its_best_noise() -> None:
     assert best_end_deviance(nominal, swims) <= end_deviance(nominal.rollouts, swims)
 
 
+@from_ci
 def test_a_relative_must_beat_nominal_at_its_best_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """An effect that does nothing, tried at better noises than the nominal model's, explains nothing."""
     swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 20)]

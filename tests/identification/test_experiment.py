@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from made import make_swim, robot, term
+from tests.conftest import from_ci
 
 from frogkick.identification.experiment import (
     DECISIVE_SIGMA,
@@ -65,6 +66,7 @@ def separation_of(models: ModelPair, row: str) -> float:
     return separation(models, white(), segments_of_sequence(robot(), sequence, START))
 
 
+@from_ci
 def test_a_planned_row_tells_a_planted_pair_apart_and_a_bad_one_does_not() -> None:
     """In the simulated pool, with its noise: whichever is true is likelier by far after the planned row."""
     asked = pair(term("limb_wear rear_left", 0.75), term("group_gain rear", 0.87))
@@ -179,6 +181,7 @@ def test_what_is_open_is_asked_effects_first_then_the_widest() -> None:
     assert pool_of(swims)[1] - pool_of(swims)[0] == pytest.approx([POOL_M, POOL_M])
 
 
+@from_ci
 def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPatch) -> None:
     """One action alone cannot tell how fast limbs forget; the row that is planned for it does.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made import WORN, make_run, make_swim, robot, term
-from tests.conftest import count
+from tests.conftest import count, from_ci
 
 from frogkick.cli.identify import spread
 from frogkick.cli.main import run_command
@@ -159,6 +159,7 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
     assert PredictionError.of(prediction_errors(without, swims)).position_rmse_m > count(20, 20, 18) * 1e-4
 
 
+@from_ci
 def test_fit_needs_no_luck_with_its_start(worn: list[Segments]) -> None:
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
     (rollouts,) = rollouts_of([Model(robot(), (), noise)], worn)

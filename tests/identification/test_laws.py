@@ -149,6 +149,7 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
     return [{"file": str(folder / "own.py"), **table}]
 
 
+@from_ci
 @pytest.mark.parametrize(("title", "table"), some(WORLDS, 1))
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
     seeds, periods = range(1, count(4, 4, 3)), count(PERIODS, PERIODS, 12)
@@ -203,6 +204,7 @@ def test_laws_are_moved_beside_each_other(
     assert values["at"] == pytest.approx(12.0, abs=1.5), values
 
 
+@from_ci
 def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
     swims = [make_swim(planted(folder, WORLDS[2][1]), seed, PERIODS) for seed in (1, 2)]
     model, rows, _ = nominal_fit(swims, robot())
@@ -260,6 +262,7 @@ def test_a_law_that_may_have_no_strength_is_left_out(folder: Path) -> None:
     assert places == [1, 0, None]
 
 
+@from_ci
 def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
     """A steady push, by pulses in thirds of periods; a limb that is worn; one that is broken; late fixes."""
     from frogkick.identification.fit import Model, residuals_of, rollouts_of
@@ -329,6 +332,7 @@ def values_of(tables: Sequence[Any]) -> list[float]:
     return [law.value(p.name) for p in law.parameters]
 
 
+@from_ci
 def test_the_missing_wrench_is_read_from_residuals() -> None:
     """A known force in the pool is told third by third, within its covariance; so are strokes and fixes."""
     numbers = {"push": {"value": 1.5e-3, "unit": "N"}, "rate": {"value": 0.7, "unit": "1/s"}}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made import make_swim, robot
-from tests.conftest import LEVEL, count, from_ci
+from tests.conftest import LEVEL, count, from_ci, some
 
 from frogkick.effects import Fix
 from frogkick.identification.jumps import jumped, jumps_of, without_jumps
@@ -40,7 +40,7 @@ def test_a_mixture_knows_how_often_and_when() -> None:
     assert ((found.failed > 0.5) == failed).all()
 
 
-@pytest.mark.parametrize(("limb", "chance"), [("front_left", 0.3), ("rear_right", 0.2)])
+@pytest.mark.parametrize(("limb", "chance"), some([("front_left", 0.3), ("rear_right", 0.2)], 1))
 def test_the_limb_that_misfires_is_named(limb: str, chance: float) -> None:
     swims = [make_swim(misfire(limb, chance), seed, count(24, 36)) for seed in (1, 2, 3)]
     _, rows, nominal = nominal_fit(swims, robot())
@@ -56,6 +56,7 @@ def test_the_limb_that_misfires_is_named(limb: str, chance: float) -> None:
     assert ends < 0.4 * before
 
 
+@from_ci
 def test_no_limb_misfires_where_none_does() -> None:
     worn = [{"name": "limb_wear", "limb": "rear_left", "gain": 0.7}]
     for effects in ([], worn):
@@ -65,6 +66,7 @@ def test_no_limb_misfires_where_none_does() -> None:
         assert found is None or (effects and found.chance[0][0] > 0.4)
 
 
+@from_ci
 def test_one_stroke_that_fails_is_an_accident() -> None:
     at = {"at": {"value": 13.0, "unit": "s"}, "within": {"value": 0.75, "unit": "s"}}
     once = {"on": "stroke", "limb": "front_left", "gain": "1 - (abs(time_s - at) < within)", "parameters": at}

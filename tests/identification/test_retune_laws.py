@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from made import known_outcome, make_swim, robot
 from test_retune import WEAR, WORN, silent, tools_of
+from tests.conftest import from_ci
 
 from frogkick.cli.retune import printed
 from frogkick.effects import Law, body_effects
@@ -55,6 +56,7 @@ def with_terms(outcome: Outcome, *terms: Term) -> Outcome:
     )
 
 
+@from_ci
 def test_what_no_table_holds_is_named_with_what_it_costs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import make_swim, robot, term
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 
 from frogkick.core.poses import PredictionError
 from frogkick.der import WIDTH
@@ -52,6 +52,7 @@ def refiner(swims: list[Segments]) -> Refiner:
     return Refiner(swims, rows, 1)
 
 
+@from_ci
 def test_lanes_that_wait_for_a_place_swim_as_they_would_at_once(worn: list[Segments]) -> None:
     models = [
         Model(robot(), (term("limb_wear rear_left").at((gain, 0.0, 1.0)),), NOISE)
@@ -89,6 +90,7 @@ def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
     assert whole.jacobian.any(axis=(0, 1)).all()
 
 
+@from_ci
 def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> None:
     """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
     model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, fixed=frozenset({1, 2}))
@@ -105,6 +107,7 @@ def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> No
     assert whole.fresh and np.allclose(whole.jacobian[:, :, 1:], exact.jacobian[:, :, 1:], rtol=0.0)
 
 
+@from_ci
 def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Segments]) -> None:
     """Frames swing at 40 Hz: half a swing late fits as well as derivatives can tell."""
     searching = refiner(worn)
@@ -128,6 +131,7 @@ def test_a_late_limb_is_found_with_its_delay() -> None:
     assert row[0].high - row[0].low < 0.1, "what is held has an interval too"
 
 
+@from_ci
 def test_effects_that_do_the_same_are_named_together() -> None:
     """Rear limbs that fire after front ones always at one distance: which loss it is, nothing tells."""
     swims = [
@@ -183,6 +187,7 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
     assert given == taken
 
 
+@from_ci
 def test_a_search_in_part_is_fitted_to_all_runs(
     worn: list[Segments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,6 +205,7 @@ def test_a_search_in_part_is_fitted_to_all_runs(
     assert found.fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
 
 
+@from_ci
 @pytest.mark.parametrize("title", some(["limb_wear rear_left", "drag_scale"], 1))
 def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Segments], title: str) -> None:
     """Each fold's parameters fitted by simulation on the other folds alone: the search takes derivatives.
@@ -227,6 +233,7 @@ def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Seg
     assert shown == pytest.approx(refitted, rel=0.1, abs=0.3)
 
 
+@from_ci
 def test_a_rival_is_not_judged_in_a_dip() -> None:
     """Every fix late and every limb late are the same swims: the one with a number less is named.
 
@@ -256,6 +263,7 @@ def test_a_rival_is_not_judged_in_a_dip() -> None:
     )
 
 
+@from_ci
 def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
     """What a delay does ripples with the frame's swing: its derivatives say nothing of dips farther off.
 
@@ -276,6 +284,7 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
     assert spared.model.values[1] == 0.0 and spared.deviance < taken.deviance
 
 
+@from_ci
 def test_limbs_that_are_late_and_weak_are_no_late_fixes() -> None:
     weak = {"name": "limb_wear", "limb": "all", "gain": 0.8, "delay_s": 0.06}
     swims = [make_swim([weak], seed, 14) for seed in (1, 2)]

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import START_S, WORN, make_run, make_swim, robot, term
 from scipy.stats import t as student
-from tests.conftest import count
+from tests.conftest import count, from_ci
 
 from frogkick.core.poses import PredictionError
 from frogkick.identification import choice as choice_module
@@ -157,6 +157,7 @@ def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None
     assert 0.8 <= inside(True) <= 0.98
 
 
+@from_ci
 def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
     """Of 20 candidates that are all untrue the best one gains more in about 5 % of all cases.
 
@@ -194,6 +195,7 @@ def test_a_candidate_that_changes_nothing_gains_nothing_by_chance() -> None:
     assert gain_by_chance(residuals, np.zeros((24, 9, 0)), [nothing], runs, 4.0) == 0.0
 
 
+@from_ci
 def test_what_does_not_help_on_runs_kept_out_is_left_out(
     whole: list[Segments], worn: list[Segments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,6 +258,7 @@ def test_recorded_runs_that_begin_with_hardly_a_fix_have_the_floor_of_the_others
         assert fix is not None and noise_floor([swim], fix).position_rmse_m < 1.5e-3
 
 
+@from_ci
 def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(
     frog2022_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

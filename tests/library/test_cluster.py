@@ -33,6 +33,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return out.read_bytes()
 
 
+@from_ci
 @needs_distributed
 def test_a_killed_worker_changes_no_byte(cluster: Cluster, here: bytes, tmp_path: Path) -> None:
     told: list[int] = []

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 
 from frogkick.core.progress import Tell
@@ -54,6 +54,7 @@ def test_a_library_that_is_too_small_for_an_affine_table_gives_a_nearest_one(tmp
     assert open_image(image).kind == "nearest" and len(open_image(image).states) == 5
 
 
+@from_ci
 def test_it_is_the_table_of_commands_that_are_given_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, SIZE, Known
 
 from frogkick.core.errors import InputError
@@ -125,6 +125,7 @@ def test_what_is_held_out_tells_what_unseen_states_will(plain: Library) -> None:
             assert found.held_out[name] == pytest.approx(value, rel=0.35)
 
 
+@from_ci
 def test_limb_use_as_an_input_lowers_the_error(tiring: Library) -> None:
     unseen = TIRING.library(200, 9)
     with_use = open_image(fit_table(tiring, "affine", 16_000).image)
@@ -137,6 +138,7 @@ def test_limb_use_as_an_input_lowers_the_error(tiring: Library) -> None:
         assert error_on(with_use, unseen)[name] < 0.3 * error_on(without, unseen)[name]
 
 
+@from_ci
 def test_the_better_kind_is_taken_where_none_is_named(plain: Library) -> None:
     both = {kind: fitted(plain, kind, 4000).score for kind in ("nearest", "affine")}
     assert both["affine"] < both["nearest"]

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.der.single import simulate_action
 
 from frogkick.core.errors import ConvergenceError, InputError
@@ -53,6 +53,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@from_ci
 def test_the_bytes_do_not_depend_on_the_workers(built: Path, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     build_library(ROBOT, STATES, SEED, 1, tmp_path / "one.h5", lambda done, total: seen.append((done, total)))
@@ -104,6 +105,7 @@ def test_what_was_recorded_leads_to_the_transition(built: Path) -> None:
         assert at_period == pytest.approx(library.displacement_body[:, :, column], abs=2e-3)
 
 
+@from_ci
 def test_another_period_is_cut_from_what_was_recorded(built: Path, tmp_path: Path) -> None:
     """0.05 mm and 0.03 degrees from simulating to that period; 0.02 mm/s and 0.3 degrees/s."""
     for period in some((1.0, 1.23, 2.0, 4.999), 2):
@@ -212,6 +214,7 @@ def test_where_everything_fails_nothing_is_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@from_ci
 def test_failures_are_listed_and_the_rest_survives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     good = box_velocities(ROBOT, 6, SEED)
     bad = good.copy()
@@ -271,7 +274,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return out.read_bytes()
 
 
-@pytest.mark.parametrize("damage", ["truncated", "other job", "other robot"])
+@from_ci
+@pytest.mark.parametrize("damage", some(["truncated", "other job", "other robot"], 1))
 def test_parts_that_do_not_fit_are_simulated_again(tmp_path: Path, whole: bytes, damage: str) -> None:
     out = tmp_path / "out.h5"
 
@@ -300,6 +304,7 @@ def test_somebody_else_s_folder_is_not_touched(tmp_path: Path) -> None:
     assert (folder / "thesis.txt").read_text() == "mine"
 
 
+@from_ci
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
 def test_ctrl_c_ends_the_workers_and_leaves_finished_parts(tmp_path: Path) -> None:
     script = (
@@ -345,6 +350,7 @@ def test_the_table_carries_the_library(built: Path) -> None:
     assert open_image(quantise(changed)).provenance != tables.provenance
 
 
+@from_ci
 def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) -> None:
     for workers, record_s in ((1, 3.0), (2, 3.0), (1, 0.0)):
         build_library(

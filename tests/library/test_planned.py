@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 
 from frogkick.der import prepare
@@ -28,6 +28,7 @@ def first_table(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planned, "_FIRST_TABLE_STATES", FIRST_STATES)
 
 
+@from_ci
 def test_planned_states_are_drawn_again_whoever_simulates() -> None:
     one = list(itertools.islice(planned_swims(ROBOT, 3), 2))
     assert [len(swims) for swims in one] == [8, 8]
@@ -36,6 +37,7 @@ def test_planned_states_are_drawn_again_whoever_simulates() -> None:
     assert len({tuple(swim) for swims in one for swim in swims}) > 8
 
 
+@from_ci
 def test_a_table_of_planned_states_errs_less_where_a_planned_run_goes() -> None:
     """On the velocities of other planned swims: less than half of what a table from the whole box errs.
 

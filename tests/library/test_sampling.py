@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 
 from frogkick.core.errors import InputError
 from frogkick.library import Library, sample_library, sample_starts
@@ -45,6 +45,7 @@ def visited() -> Library:
     return sample_library(ROBOT, VISITED, 0, "visited")
 
 
+@from_ci
 def test_visited_states_are_those_of_a_swimming_robot(visited: Library) -> None:
     v = visited.initial_velocity_body
     assert v[0].tolist() == [0.0, 0.0, 0.0]
@@ -56,6 +57,7 @@ def test_visited_states_are_those_of_a_swimming_robot(visited: Library) -> None:
     assert abs(left.sum()) < 0.05 * np.abs(left).sum()
 
 
+@from_ci
 def test_visited_states_know_what_was_done_before_them(visited: Library) -> None:
     """From rest through the earlier actions, one after another, to the state's velocity."""
     before = visited.previous_actions

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool
@@ -78,6 +78,7 @@ def test_host_and_robot_agree(transport: str, tmp_path: Path, monkeypatch: pytes
     assert told == [f"host agrees with {count} decisions" for count in (1, 2, 3)]
 
 
+@from_ci
 def test_another_entry_in_the_robot_s_table_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, past_the_hash: None
 ) -> None:

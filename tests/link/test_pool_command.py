@@ -148,6 +148,7 @@ def test_it_gets_an_owner_and_loses_him(
     assert told.code == 0, told.stderr
 
 
+@from_ci
 def test_a_run_by_a_tracker_s_lines_and_the_robot_s_log(
     pool: Served, camera: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -228,6 +229,7 @@ def test_bad_days(pool: Served, camera: Path, capsys: pytest.CaptureFixture[str]
     assert "outside the pool" in pool.act("put 2,0,0") and "give X,Y,DEG" in pool.act("put here")
 
 
+@from_ci
 def test_its_flash_outlives_it_and_its_port_keeps_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from tests.cli.commands import Outcome, frogkick
+from tests.conftest import from_ci
 from tests.core.store_rig import crc_of
 from tests.identification.made import make_run
 from tests.link.live_robot import LiveRobot
@@ -185,6 +186,7 @@ def test_retune_keeps_what_it_made_where_no_robot_answers(
     assert "is not there" in last and f"'frogkick push {tmp_path / 'out' / TABLES} --robot serial:" in last
 
 
+@from_ci
 def test_retune_sends_to_a_virtual_robot(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     """Switched on with the old tables, it takes the new ones by its UART."""
     old, new = rig.small_table().read_bytes(), rig.changed_image(32, b"another library")

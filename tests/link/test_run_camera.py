@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.link.live_robot import LiveRobot
 from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
@@ -140,6 +140,7 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
         assert done == compiled
 
 
+@from_ci
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
     """The pictures end: a camera that sees nothing more, so the robot ends the run by itself."""

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.conftest import count, some
+from tests.conftest import count, from_ci, some
 from tests.link.live_robot import LiveRobot
 from tests.link.swim import PATH, LivePool
 from tests.link.test_run_camera import SCENE, START
@@ -187,6 +187,7 @@ def test_enter_arms_and_any_key_stops(source: str, film: Path, tmp_path: Path) -
     assert (log.fixes.extra["robot_status"] == 0).sum() > 3
 
 
+@from_ci
 @pytest.mark.parametrize("source", some(["camera", "tracker"], 1))
 def test_ctrl_c_at_the_question_arms_nothing(source: str, film: Path, tmp_path: Path) -> None:
     with swimming(source, film, tmp_path) as (robot, terminal):
@@ -198,6 +199,7 @@ def test_ctrl_c_at_the_question_arms_nothing(source: str, film: Path, tmp_path: 
     assert not (tmp_path / "run.h5").exists()
 
 
+@from_ci
 def test_in_the_background_of_a_terminal_nothing_is_asked(tmp_path: Path) -> None:
     """A program there that reads keys, or changes how they come, is halted by the system."""
     robot = LiveRobot()

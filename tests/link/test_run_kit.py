@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.link.live_robot import LiveRobot
 from tests.link.swim import PATH
 from tests.runs import rig
@@ -22,6 +22,7 @@ TRIES = 6
 PERIOD_S = rig.PERIOD_S
 
 
+@from_ci
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 @pytest.mark.parametrize("plan", some(["onboard", "host"], 1))
 def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> None:

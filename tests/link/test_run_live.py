@@ -192,7 +192,7 @@ def test_a_robot_that_does_not_say_so_is_told_of(tmp_path: Path, monkeypatch: py
             )
 
 
-@pytest.mark.parametrize("onboard", [True, False], ids=["core", "twin"])
+@pytest.mark.parametrize("onboard", some([True, False], 1), ids=lambda onboard: "core" if onboard else "twin")
 def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
     """Their robot fires whatever a line says: it is the host that keeps the limits."""
     frog, options = TextFrog(clock=PatientClock()), RunOptions(PlanConfig(), onboard, 2.5 * PERIOD_S)

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import from_ci
 from tests.link.live_robot import LiveRobot
 from tests.link.test_run_camera import filmed  # noqa: F401 - a fixture
 from tests.runs import rig
@@ -91,6 +92,7 @@ def test_a_disk_that_takes_no_more_is_said(tmp_path: Path) -> None:
     video.close()
 
 
+@from_ci
 def test_the_command_keeps_them(filmed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
     robot, log = LiveRobot(), tmp_path / "run.h5"
     with PtyLine(tmp_path / "robot", robot) as line:

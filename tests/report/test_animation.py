@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
+from tests.conftest import from_ci
 from tests.der.single import simulate_gait
 
 from frogkick.cli.main import run_command
@@ -135,6 +136,7 @@ def test_the_gif_shows_frame_limbs_and_trail(tmp_path: Path) -> None:
     assert count_of(last, "#000000") > 100
 
 
+@from_ci
 def test_the_same_swim_gives_the_same_bytes(tmp_path: Path) -> None:
     swim = actions_swim(FROG, [FROG.action("A")])
     for name in ("one.gif", "two.gif"):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from tests.conftest import from_ci
 from tests.identification.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
@@ -69,6 +70,7 @@ def figures(outcome: Outcome) -> dict[str, Figure]:
     }
 
 
+@from_ci
 def test_every_axis_says_what_it_is_and_in_which_unit(outcome: Outcome) -> None:
     no_unit = {"limb", "action and its number of periods", "periods ahead", ""}
     for name, figure in figures(outcome).items():
@@ -113,6 +115,7 @@ def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
     assert "nan" not in links.text.lower().split() and str(tmp_path) not in links.text
 
 
+@from_ci
 def test_a_page_without_effects_or_without_data_is_one_too(outcome: Outcome, tmp_path: Path) -> None:
     assert outcome.found is not None
     found = replace(outcome.found, fitted=outcome.found.nominal, iterations=TURNS[1:], confounded_with=[])

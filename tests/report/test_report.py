@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from tests.conftest import from_ci
 from tests.identification.made import robot
 from tests.runs import rig
 
@@ -109,6 +110,7 @@ def test_no_text_of_a_figure_is_cut_off() -> None:
                 assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text.get_text()
 
 
+@from_ci
 def test_the_same_run_gives_the_same_picture() -> None:
     assert figure_uri(run_figure(short_run(), "t")) == figure_uri(run_figure(short_run(), "t"))
 
@@ -124,6 +126,7 @@ def test_a_page_escapes_what_it_is_given(tmp_path: Path) -> None:
         write_page(target / "below a file.html", "t", "l", [])
 
 
+@from_ci
 def test_the_rings_report(tmp_path: Path) -> None:
     from frogkick.report.ring_page import write_ring_report
     from frogkick.ring import go_round

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.conftest import from_ci
 
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
@@ -58,6 +59,7 @@ def test_the_active_limb_is_straighter_and_points_back() -> None:
         assert active[-1, 0] < active[0, 0] - 0.02
 
 
+@from_ci
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_the_same_robot_gives_the_same_bytes(ending: str, tmp_path: Path) -> None:
     robot = load_robot("streamlined")

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.link.layout import link_layout
@@ -39,6 +40,7 @@ def log_of(place: str, onboard: bool = True) -> RunLog:
     return run_log(recording, pool, rig.robot(), rig.tables(), shape("ellipse"), options, 0, "test")
 
 
+@from_ci
 @pytest.mark.parametrize("place", ["virtual", "pool"])
 def test_every_decision_on_board_is_the_twins(place: str) -> None:
     recording, _, options = run(place)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from typer.testing import CliRunner
 
 import frogkick as fk
@@ -73,6 +74,7 @@ def test_a_limb_that_comes_back_is_believed_again(table: Path) -> None:
     assert np.array_equal(filt.tables.shift, tables.shift)
 
 
+@from_ci
 def test_in_the_pool_a_worn_limb_is_named_and_replay_decides_alike(table: Path, tmp_path: Path) -> None:
     world, log = tmp_path / "worn.toml", tmp_path / "run.h5"
     world.write_text(WORN)
@@ -105,6 +107,7 @@ def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
     assert again["mismatches"] == 0 and again["agreement_with_recorded"] > 0.8
 
 
+@from_ci
 def test_a_robot_as_it_was_swims_as_without(table: Path) -> None:
     plain, learned = (
         fk.run(table, "line", robot="pool", plan="host", time_limit_s=LIMIT_S, learn=learn)

@@ -14,6 +14,7 @@ from urllib.error import HTTPError
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.runs import rig
 
 import frogkick as fk
@@ -103,6 +104,7 @@ def test_the_page_is_served_here_alone() -> None:
     assert not re.search(r"https?:|src=|@import|url[(]", page()), "it needs no other file"
 
 
+@from_ci
 def test_the_command_draws_a_run(tmp_path: Path) -> None:
     """In real time: it takes no less than what is simulated."""
     began = time.monotonic()

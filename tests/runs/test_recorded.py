@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.conftest import from_ci
 
 from frogkick.core.errors import InputError
 from frogkick.runs.recorded import import_recorded, load_run, read_recorded, summarise
@@ -138,6 +139,7 @@ def test_made_up_run_gives_its_clock_back(tmp_path: pathlib.Path) -> None:
     assert np.all(run.fixes.quality == 1)
 
 
+@from_ci
 @given(st.floats(0.85, 2.4), st.integers(0, 1000))
 @settings(max_examples=40, deadline=None)
 def test_clock_is_within_its_polygon(period_s: float, seed: int) -> None:

@@ -6,7 +6,7 @@ import pathlib
 from collections.abc import Sequence
 
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.runs import rig
 
 from frogkick.link.frames import Frame
@@ -121,6 +121,7 @@ def test_strokes_are_those_that_the_twin_decides(frog2022_dir: pathlib.Path, nam
     assert check_strokes(port, result, 0.0) > len(run.decisions)
 
 
+@from_ci
 @pytest.mark.parametrize("name", RUNS[: count(1, len(RUNS))])
 def test_strokes_on_the_chip(frog2022_dir: pathlib.Path, name: str) -> None:
     _, port, result = swum_again(frog2022_dir, name, "virtual", 2)

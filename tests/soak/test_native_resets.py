@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from tests.conftest import from_ci
 from tests.runs import rig as loop_rig
 from tests.soak import rig
 
@@ -56,6 +57,7 @@ def test_a_table_by_radio_outlives_power_and_watchdog(robot: NativeRobot) -> Non
     session.handshake(old)
 
 
+@from_ci
 def test_the_same_flash_as_the_chips() -> None:
     """After the same update, byte for byte."""
     new = rig.tables()[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.soak import rig
 from tests.soak.harness import CAMERA, KINDS, Life, Plan
 from tests.soak.route import Route
@@ -61,6 +61,7 @@ def test_a_robot_that_stays_beside_its_route_is_found(off_s: tuple[int, ...], fo
         assert 0.05 < watch.figures.worst_mean_m < 0.06
 
 
+@from_ci
 def test_a_robot_comes_through_its_life() -> None:
     minutes = count(*MINUTES, 20)
     life = Life(rig.library(), rig.robot(), rig.tables(), plan_of(minutes), seed=1, truth=rig.truth())

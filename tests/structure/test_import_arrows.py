@@ -7,7 +7,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, from_ci
 from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, circle, violations
 
 
@@ -100,6 +100,7 @@ def test_a_wrong_import_is_found(tmp_path: Path, name: str, text: str, found: st
     assert lines[0].startswith(name + found), lines
 
 
+@from_ci
 def test_files_import_each_other_in_no_circle() -> None:
     assert circle(REPOSITORY) == []
 

@@ -95,6 +95,7 @@ def test_the_firmware_is_built_from_the_wheel_alone(whole: Environment, tmp_path
     assert {"tree.c", "fk_planner.h", "fk_table.c"} <= json.loads(emitted.stdout)["files"].keys()
 
 
+@from_ci
 def test_python_lines_work_too(bare: Environment) -> None:
     lines = 'import frogkick as fk; t = fk.load_table("t.fkt"); print(t.robot.id, *fk.emit_c(t, "lines"))'
     said = bare.script("-c", lines)
@@ -130,6 +131,7 @@ LACKING: list[tuple[str, list[str]]] = [
 """Extra -> a command that needs it, or a clone. With no table given: none is simulated before it says so."""
 
 
+@from_ci
 def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment) -> None:
     working = [
         ["robot", "list"],

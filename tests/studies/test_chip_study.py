@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.codegen import made_up
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.planner import synthetic
 from tests.runs import rig
 
@@ -97,6 +97,7 @@ def test_a_summary_is_of_the_states_that_were_timed(small: Built) -> None:
     assert speeds[2].nodes > 3 * speeds[1].nodes
 
 
+@from_ci
 def test_of_many_states_the_dearest_are_run(small: Built, monkeypatch: pytest.MonkeyPatch) -> None:
     """A sixth of them is run, and holds what running them all finds worst; the rest is within the bound."""
     every = small.speed({1: 1800})[1]
@@ -113,6 +114,7 @@ def test_of_many_states_the_dearest_are_run(small: Built, monkeypatch: pytest.Mo
     assert some.mean_ms == pytest.approx(every.mean_ms, rel=0.02)
 
 
+@from_ci
 def test_the_model_knows_what_a_block_takes(small: Built) -> None:
     """Fitted to some states, it tells others' cycles; a state asked for twice costs twice nothing else."""
     tables, path = open_image(small.file.read_bytes()), PATHS["ellipse"]
@@ -171,6 +173,7 @@ def test_decisions_are_within_their_limits(large: Built) -> None:
     assert open_ms(large.elf) < 200.0
 
 
+@from_ci
 def test_the_command_tells_it_and_fails_over_a_limit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

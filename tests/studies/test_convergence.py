@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 
 from frogkick.cli.main import run_command
 from frogkick.der import STEP_S
@@ -20,6 +20,7 @@ def test_a_made_curve_gives_its_own_order() -> None:
     assert curve.at_default == pytest.approx(3.0 * STEP_S**2)
 
 
+@from_ci
 def test_second_order_and_the_limit_at_the_default_step(
     capsys: pytest.CaptureFixture[str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:

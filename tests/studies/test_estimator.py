@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.cli.main import run_command
@@ -82,6 +83,7 @@ def outcomes() -> Outcomes:
         return compare_estimators(rig.robot(), image, paths, PlanConfig(), 1, 14.0, [15.0])
 
 
+@from_ci
 def test_the_robots_own_way_is_the_best_under_every_condition(outcomes: Outcomes) -> None:
     assert [c.fault for c in outcomes] == ["none", "all", "outliers"]
     for condition, methods in outcomes.items():

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.cli.main import run_command
@@ -48,6 +49,7 @@ def test_a_larger_breadth_finds_nearer_plans(sine: list[Foreseen]) -> None:
     assert len(gain_m) > 1 and np.mean(gain_m) > 0.0
 
 
+@from_ci
 def test_a_short_path_is_planned_as_trying_everything_finds() -> None:
     """All sequences of up to four actions, swum one by one."""
     path = from_waypoints([(0.0, 0.0), (0.06, 0.02)], smooth=False, points=40)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.conftest import from_ci
 from tests.identification.made import robot, robot_option
 from tests.runs import rig
 
@@ -77,6 +78,7 @@ def test_the_planners_are_the_papers_and_the_robots_own() -> None:
     assert planners_of(deeper)[-1].config.depth == 4, "the robot's own depth is always among them"
 
 
+@from_ci
 def test_a_run_is_that_of_its_seed_and_its_planner(tmp_path: Path, swum: tuple[Path, Outcomes]) -> None:
     _, outcomes = swum
     first, second, shallow, deep = outcomes.values()
@@ -88,6 +90,7 @@ def test_a_run_is_that_of_its_seed_and_its_planner(tmp_path: Path, swum: tuple[P
     assert list(again.values()) == [second]
 
 
+@from_ci
 def test_what_was_run_is_not_run_again(
     tmp_path: Path, swum: tuple[Path, Outcomes], counted: list[Case]
 ) -> None:
@@ -267,6 +270,7 @@ def words_of(tmp_path: Path, library: Path) -> list[str]:
     return [*words, "--out", str(tmp_path / "out"), "--seeds", "1", "--path", "line", "--workers", "1"]
 
 
+@from_ci
 @pytest.mark.parametrize(("distance_mm", "code"), [(GOOD, 0), (EVEN, 1)])
 def test_the_exit_code_is_the_verdict(
     tmp_path: Path,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 from tests.validation.paper_data import write_swim
 from typer.testing import CliRunner
@@ -63,6 +63,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fits, "MOST_EFFECTS", 1)
 
 
+@from_ci
 @pytest.mark.parametrize("seed", range(count(1, 5)))
 def test_a_planted_effect_is_found_and_predicts_other_fractions(few: None, tmp_path: Path, seed: int) -> None:
     folder, out = write_data(tmp_path / "data", [PLANTED], seed), tmp_path / "out"
@@ -94,6 +95,7 @@ def test_a_planted_effect_is_found_and_predicts_other_fractions(few: None, tmp_p
     assert (out / "openloop.png").read_bytes().startswith(b"\x89PNG")
 
 
+@from_ci
 @pytest.mark.parametrize("seed", range(count(1, 5)))
 def test_without_an_effect_the_plain_model_stays(few: None, tmp_path: Path, seed: int) -> None:
     (split,) = open_loop(ROBOT, write_data(tmp_path, [], seed), train=[30.0]).splits
@@ -113,6 +115,7 @@ def test_a_gain_within_its_sampling_error_is_none() -> None:
     assert fits.gain_of(before, before) == (0.0, 0.0, 0.0)
 
 
+@from_ci
 def test_one_folder_is_fitted_to_and_another_predicted(few: None, tmp_path: Path) -> None:
     train, test = write_data(tmp_path / "a", [PLANTED], 0), tmp_path / "b"
     for gait, speed in zip(TEST, speeds([PLANTED], TEST), strict=True):

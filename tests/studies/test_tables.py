@@ -44,6 +44,7 @@ def few_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables_study, "LIBRARY_STATES", (60,))
 
 
+@from_ci
 @pytest.mark.usefixtures("few_sizes")
 def test_each_point_is_a_table_made_and_measured_by_hand(library: Library) -> None:
     seen: list[tuple[int, int]] = []

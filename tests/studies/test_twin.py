@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.identification import made
 from tests.runs import rig
 
@@ -147,6 +147,7 @@ def test_choices_are_where_the_newest_fix_was(frog2022_dir: Path) -> None:
     assert choices.poses_world[2, 0] == np.float32(run.fixes.x_m[newest])
 
 
+@from_ci
 def test_what_a_planner_believes_is_found_from_what_it_chooses() -> None:
     runs = [chosen(name, 60, seed) for seed, name in enumerate(("line", "sine", "ellipse"))]
     begin = MOTION * [1.5, 0.5, 0.3]
@@ -221,6 +222,7 @@ def words_of(tmp_path: Path, libraries: tuple[Path, Path]) -> list[str]:
     return [*words, "--path", "line", "--out", str(tmp_path / "out"), "--workers", "1"]
 
 
+@from_ci
 def test_the_command_swims_shapes_in_the_twins_pool(
     tmp_path: Path, libraries: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -258,6 +260,7 @@ def shared() -> Iterator[None]:
         yield
 
 
+@from_ci
 @pytest.mark.usefixtures("shared")
 @pytest.mark.parametrize(("far_mm", "code"), [({}, 0), ({"robot": 11.0}, 1)])
 def test_the_exit_code_is_the_verdict(

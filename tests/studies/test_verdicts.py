@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.identification.made import make_swim, robot
 from tests.runs import rig
 
@@ -203,6 +203,7 @@ def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
     assert len(set(every)) == 100 * len({kind.group for kind in kinds().values()}) == 500
 
 
+@from_ci
 def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In make test with a path to learn from, and two candidates."""
     if few := count(0, 0, 2):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.der.single import simulate_gait
 from tests.identification.made import robot
 
@@ -192,6 +192,7 @@ def test_a_chunk_keeps_failures_and_infinite_costs(tmp_path: Path) -> None:
     assert again[0].failure == "why" and math.isnan(again[0].speed_mps)
 
 
+@from_ci
 def test_the_paper_s_winners_are_found(tmp_path: Path) -> None:
     """Fastest 30 % at 1.3 and 1.4 Hz, most efficient 10 % at 0.4 and 0.5 Hz, among every measured design.
 
@@ -221,6 +222,7 @@ def test_another_robot_has_no_winners_of_the_paper(tmp_path: Path) -> None:
     assert paper_verdicts(other) == []
 
 
+@from_ci
 def test_the_report_is_the_same_bytes_again(tmp_path: Path) -> None:
     sweep = run_sweep(SMALL, tmp_path, workers=1)
     first = [file.read_bytes() for file in write_sweep_report(tmp_path / "a", sweep, [])]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 from tests.validation.paper_data import GAIT, model_swim, write_simulation, write_swim
 
@@ -97,6 +97,7 @@ def test_what_cannot_be_compared_is_listed_with_its_reason(tmp_path: Path) -> No
     assert len(result.simulations) == 1 and len(reasons) == 3
 
 
+@from_ci
 def test_constants_are_matched_without_the_fraction_that_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -162,6 +163,7 @@ def test_repeats_count_distinct_swims_of_one_gait() -> None:
     assert noise.neighbours == {} and noise.within_swim["experiments"] == pytest.approx(0.001)
 
 
+@from_ci
 def test_the_command_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = tmp_path / "data"
     write_simulation(data / "sim" / "freq" / "10", GAIT, scale=0.9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def test_the_published_cost_knows_no_walls(table: fk.Table) -> None:
 def test_a_wall_turns_a_plan_away(table: fk.Table) -> None:
     """Where the path leads to a wall, the robot turns less that way than without."""
     path = from_waypoints([(0.0, 0.0), (0.0, 0.5)])
-    plain = config_of(table.robot.planner)
+    plain = dataclasses.replace(config_of(table.robot.planner), course_weight_per_m=0.0)  # as between walls
     state = np.array([0.0, 0.0, 0.8, 0.02, 0.0, 0.0])
     free = plan(table.tables, path, plain, state)
     kept = plan(table.tables, path, walled(plain, (-1.0, -1.0, 1.0, 0.11), table), state)

@@ -28,6 +28,7 @@ RARE = (134, 254)
 """Lives in which a current is not believed, because limbs would then have lost less than nothing."""
 
 
+@from_ci
 def test_the_twin_gives_the_same_bits() -> None:
     lives = cases(10_000, 200_000, 500)
     seen: dict[object, int] = {}

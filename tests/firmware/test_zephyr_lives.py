@@ -17,10 +17,11 @@ from frogkick.robot import load_robot
 from frogkick.runs.session import LinkError
 from frogkick_codegen.firmware import robot_config
 
+pytestmark = from_ci  # its firmware, linked with zephyr, takes 12 s to build
+
 STATE = link_layout().state
 
 
-@from_ci
 def test_a_stroke_over_the_radio(life: Life) -> None:
     session = life.session
     session.request("ARM")
@@ -207,7 +208,6 @@ def test_a_supply_that_falls_disarms(life: Life) -> None:
     assert life.state() == STATE["ARMED"]
 
 
-@from_ci
 def test_a_battery_that_is_low_at_rest_disarms(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

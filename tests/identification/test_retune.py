@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import known_outcome, make_run, make_swim, robot, robot_option
+from tests.conftest import from_ci
 
 from frogkick.cli.main import run_command
 from frogkick.cli.retune import printed
@@ -340,6 +341,7 @@ def command(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple
     return code, captured.out, captured.err
 
 
+@from_ci
 def test_from_logs_to_firmware(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -30,6 +30,7 @@ def made(folder: Path, states: int, seed: int = 0) -> bytes:
     return default_table(ROBOT, folder / "library.h5", stage, "library", states, seed)
 
 
+@from_ci
 def test_it_is_affine_and_of_states_that_the_planner_leads_to(tmp_path: Path) -> None:
     """And errs there at most half as much as a nearest table of the same library, in place and in heading."""
     titles.clear()

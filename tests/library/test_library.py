@@ -243,6 +243,7 @@ class Stop(Exception):
     pass
 
 
+@from_ci
 def test_a_stopped_build_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
     states = count(70, 70, 34)  # half of them simulated, 3 parts or 2
     build_library(ROBOT, states, SEED, 2, tmp_path / "whole.h5", record_s=2.0)

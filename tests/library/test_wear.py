@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import from_ci
 from tests.library import synthetic
 
 from frogkick.core.errors import InputError
@@ -29,6 +30,7 @@ def curves() -> np.ndarray:
         return wear_curves(rods_of(load_robot("frog2022")), VELOCITY)
 
 
+@from_ci
 def test_each_limb_loses_more_and_more_of_its_own_contribution(curves: np.ndarray) -> None:
     robot = load_robot("frog2022")
     names = [limb.name for limb in robot.limbs]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.cli.commands import Outcome, frogkick
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool
@@ -69,6 +69,7 @@ def owner_of(robot: LiveRobot) -> bytes:
     return bytes(b for word in robot.flash.store.record.owner_key for b in int(word).to_bytes(4, "little"))
 
 
+@from_ci
 def test_a_robot_gets_an_owner_and_loses_him(
     robot: LiveRobot, target: str, new: Path, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

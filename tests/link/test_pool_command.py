@@ -177,6 +177,7 @@ def test_a_run_by_a_tracker_s_lines_and_the_robot_s_log(
     assert replayed.json["decisions"] == numbers["decisions"]
 
 
+@from_ci
 def test_a_run_by_pictures_that_a_page_shows(pool: Served, camera: Path, tmp_path: Path) -> None:
     pool.act("put")
     options = ("--fixes", camera, "--source", pool.source, "--view", "--simulated-time", f"{2.5 * PERIOD_S}")

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool, TextFrog
@@ -177,6 +177,7 @@ def test_whatever_ends_a_run_disarms_first(
     assert "DISARM" in robot.names()
 
 
+@from_ci
 def test_a_robot_that_does_not_say_so_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, options = LiveRobot(clock=PatientClock()), RunOptions(PlanConfig(), True, 10 * PERIOD_S)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
@@ -192,6 +193,7 @@ def test_a_robot_that_does_not_say_so_is_told_of(tmp_path: Path, monkeypatch: py
             )
 
 
+@from_ci
 @pytest.mark.parametrize("onboard", some([True, False], 1), ids=lambda onboard: "core" if onboard else "twin")
 def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
     """Their robot fires whatever a line says: it is the host that keeps the limits."""

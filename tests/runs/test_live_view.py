@@ -168,6 +168,7 @@ def test_the_page_s_button_stops_a_run_and_no_other_page_does(capsys: pytest.Cap
     assert "<button" in page(stops=True) and "<button" not in page()
 
 
+@from_ci
 def test_a_log_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fk.run(rig.small_table(), "sine", time_limit_s=6.0, out=tmp_path / "run.h5")
     log = fk.load_run(tmp_path / "run.h5").log

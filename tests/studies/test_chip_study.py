@@ -159,6 +159,7 @@ def test_slower_memory_makes_slower_decisions(small: Built) -> None:
         assert cycles(dataclasses.replace(CostModel(), **{part: 0})) < whole
 
 
+@from_ci
 def test_decisions_are_within_their_limits(large: Built) -> None:
     """Worst of all states, paths and places; the dearest of 10^5 at each depth in make test-full."""
     counts = {1: count(90, 100_000, 36), 2: count(45, 100_000, 24), 3: count(18, 100_000, 12)}

@@ -153,6 +153,7 @@ def test_the_picture_shows_every_method(outcomes: Outcomes) -> None:
     assert "(mm)" in position.get_ylabel() and position.get_xlabel() == "fixes per second"
 
 
+@from_ci
 def test_the_command_says_it_all(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -295,6 +295,7 @@ def test_the_exit_code_is_the_verdict(
     assert ("all that was asked is so" in text) is (code == 0)
 
 
+@from_ci
 def test_the_command_runs_a_world_and_says_its_name(
     tmp_path: Path, library: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

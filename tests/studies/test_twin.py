@@ -310,6 +310,7 @@ def test_the_exit_code_is_the_verdict(
     assert "  E:  2.28 cm forward, -0.48 cm left,  -34.4 deg" in text
 
 
+@from_ci
 def test_wrong_input_is_one_line(
     tmp_path: Path, libraries: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -228,6 +228,7 @@ def chunks_of(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in sorted((folder / "chunks").iterdir())}
 
 
+@from_ci
 @needs_distributed
 def test_every_task_once_on_a_cluster_and_errors_come_back(cluster: Cluster) -> None:
     assert sorted(run_chunks(ADDING, range(7), 1, cluster.address)) == [(k, 100 + k) for k in range(7)]
@@ -242,6 +243,7 @@ def test_a_worker_with_other_code_is_refused(cluster: Cluster, monkeypatch: pyte
         list(run_chunks(ADDING, [1], 1, cluster.address))
 
 
+@from_ci
 @needs_distributed
 def test_what_a_caller_drops_does_not_stay(cluster: Cluster) -> None:
     first, _ = next(running := run_chunks(ADDING, range(200), 1, cluster.address))

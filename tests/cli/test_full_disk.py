@@ -28,6 +28,7 @@ sys.exit(run_command(sys.argv[1:]))
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits the length of files")
 
 
+@from_ci
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [

@@ -42,6 +42,7 @@ def group_members(group: int) -> list[int]:
     return [int(pid) for pgid, pid, state in rows if int(pgid) == group and not state.startswith("Z")]
 
 
+@from_ci
 @pytest.mark.parametrize("whole_group", [True, False], ids=["terminal", "one process"])
 def test_library_build(tmp_path: Path, whole_group: bool) -> None:
     process = subprocess.Popen(

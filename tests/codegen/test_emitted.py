@@ -78,6 +78,7 @@ def test_the_readme_names_every_file(emitted: Emitted) -> None:
     }
 
 
+@from_ci
 def test_the_readme_s_ten_lines_build_run_and_decide(emitted: Emitted, tmp_path: Path) -> None:
     code = block(emitted.folder, "c")
     body = code[code.index("{") + 1 : code.rindex("}")]

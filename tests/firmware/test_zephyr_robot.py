@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from devicetree import dtlib
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from west.manifest import ImportFlag, Manifest
 from zephyr_robot import DECLARED, ROBOT, configuration, defines, headers
 
@@ -38,6 +38,7 @@ def check(source: str, made: Path, folder: Path, options: list[str]) -> None:
     zig("host").run([*flags, "-c", "source.c", "-o", "source.o"], folder)
 
 
+@from_ci
 @pytest.mark.parametrize("source", [source.name for source in SOURCES])
 @pytest.mark.parametrize("open_link", some([False, True], 1))
 @pytest.mark.parametrize("version", ["3, 7, 0", "4, 2, 0"])

@@ -305,6 +305,7 @@ def test_c_and_firmware(readme: dict[str, Any], table: fk.Table, tmp_path: Path)
     assert kept.files["hex"].read_bytes() == built.files["hex"].read_bytes()
 
 
+@from_ci
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_a_real_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A kit without limbs at a line: asked, given a table, and swum with by fixes of a simulated pool."""

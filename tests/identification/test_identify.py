@@ -121,6 +121,7 @@ def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Segments]) -> N
     assert scatter == pytest.approx(swim.end_noise[kept], rel=0.12)
 
 
+@from_ci
 def test_planted_wear_is_found_among_others(worn: list[Segments]) -> None:
     rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
     found = search(worn, robot(), rivals)

@@ -40,6 +40,7 @@ def test_a_mixture_knows_how_often_and_when() -> None:
     assert ((found.failed > 0.5) == failed).all()
 
 
+@from_ci
 @pytest.mark.parametrize(("limb", "chance"), some([("front_left", 0.3), ("rear_right", 0.2)], 1))
 def test_the_limb_that_misfires_is_named(limb: str, chance: float) -> None:
     swims = [make_swim(misfire(limb, chance), seed, count(24, 36)) for seed in (1, 2, 3)]

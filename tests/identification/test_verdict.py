@@ -133,6 +133,7 @@ def test_blocks_of_periods_tell_how_sure_a_mean_is() -> None:
     assert high - low == pytest.approx(2.0 * 2.2 * 2.0 / np.sqrt(12.0), rel=0.5)
 
 
+@from_ci
 @pytest.mark.parametrize("periods", [12, 20, 40])
 def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None:
     """Two runs of heavy-tailed misses, 9 to a period, two parameters: once too narrow by up to a third."""

@@ -54,6 +54,7 @@ def test_a_limb_that_no_action_fires_has_no_loss() -> None:
     assert [bool(curve.any()) for curve in found] == fired
 
 
+@from_ci
 def test_a_library_file_and_its_table_carry_the_curves(curves: np.ndarray, tmp_path: Path) -> None:
     plain = synthetic.Known(1, 1).library(40, 1)
     library = replace(plain, limb_wear=curves)

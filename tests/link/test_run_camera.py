@@ -73,6 +73,7 @@ class Filmed:
             sequence += 1
 
 
+@from_ci
 def test_a_run_by_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = LiveRobot()
     path = Sight("stdin", begin=f"{START[0]},{START[1]},{np.degrees(START[2])}").placed(shape(PATH), START)

@@ -163,6 +163,7 @@ def swimming(source: str, film: Path, folder: Path) -> Iterator[tuple[LiveRobot,
             yield robot, terminal
 
 
+@from_ci
 @pytest.mark.parametrize("source", some(["camera", "tracker"], 1))
 def test_enter_arms_and_any_key_stops(source: str, film: Path, tmp_path: Path) -> None:
     with swimming(source, film, tmp_path) as (robot, terminal):

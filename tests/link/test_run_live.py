@@ -87,6 +87,7 @@ def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytes
         assert [one.differences(two) for one, two in zip(recording.decisions, again, strict=True)] == [[]] * 3
 
 
+@from_ci
 @pytest.mark.parametrize("transport", some(TRANSPORTS, 1))
 def test_a_path_takes_over_though_a_part_of_it_is_lost(
     transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

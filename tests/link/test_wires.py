@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.core.store_rig import crc_of
 from tests.link.live_robot import LiveRobot
 from tests.link.rigged import TRANSPORTS, Rigged, rigged
@@ -69,6 +69,7 @@ def test_a_conversation(robot: LiveRobot, there: Rigged) -> None:
     assert session.port.bad == 0
 
 
+@from_ci
 def test_what_is_lost_on_the_way_is_sent_again_and_done_once(robot: LiveRobot, there: Rigged) -> None:
     numbers = itertools.count()
     robot.deaf_to = lambda _frame: next(numbers) % 3 != 2  # two of three

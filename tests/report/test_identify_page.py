@@ -90,6 +90,7 @@ def test_every_axis_says_what_it_is_and_in_which_unit(outcome: Outcome) -> None:
                 )
 
 
+@from_ci
 def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
     target, row = tmp_path / "what.html", ("G", "B", "E")
     told_apart = replace(outcome)

@@ -139,6 +139,7 @@ def test_the_command_draws_a_run(tmp_path: Path) -> None:
     assert seen[-1]["branch"] and len(seen[-1]["track"]) > 10
 
 
+@from_ci
 def test_the_page_s_button_stops_a_run_and_no_other_page_does(capsys: pytest.CaptureFixture[str]) -> None:
     answers: list[int] = []
     told: list[int] = []

@@ -99,6 +99,7 @@ def leading(nodes: int, forward_m: float) -> np.ndarray:
     return motions
 
 
+@from_ci
 @pytest.mark.parametrize("config", [PlanConfig(), config_of(ROBOT.planner)], ids=["paper", "route"])
 def test_the_planner_finds_what_a_tree_holds(config: PlanConfig, images: dict[str, bytes]) -> None:
     class Straight:
@@ -152,6 +153,7 @@ def test_nothing_is_more_exact_than_the_rods_and_a_bad_table_is_off(whole_runs: 
     assert more.value == pytest.approx(distance[NEAREST] - distance[RODS])
 
 
+@from_ci
 def test_a_seed_has_its_run_whatever_else_runs(images: dict[str, bytes]) -> None:
     told: list[tuple[int, int]] = []
     three = follow_paths(

@@ -24,7 +24,7 @@ LEVELS = ("quick", "ci", "full")
 LEVEL = os.environ.get("FK_LEVEL") or "quick"
 FULL = LEVEL == "full"
 from_ci = pytest.mark.from_ci
-"""A test that make test leaves out: cheaper ones hold most of it, and all take five minutes."""
+"""A slow test, which make test leaves out: cheaper ones hold most of it."""
 LEFT_OUT = "slow tests that are left out: FK_LEVEL=ci runs them"
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for; ``LEFT_OUT`` -> number of tests."""

@@ -17,7 +17,7 @@ from frogkick.robot import load_robot
 from frogkick.runs.session import LinkError
 from frogkick_codegen.firmware import robot_config
 
-pytestmark = from_ci  # its firmware, linked with zephyr, takes 12 s to build
+pytestmark = from_ci  # its firmware takes 12 s to build
 
 STATE = link_layout().state
 

@@ -60,7 +60,7 @@ def walled(
         config,
         wall_weight_per_m=WALL_WEIGHT_PER_M,
         wall_glide=WALL_GLIDE,
-        course_weight_per_m=0.0,  # with it the robot now and then swings out further after a bend
+        course_weight_per_m=0.0,  # with it one of 200 runs swung out over a wall after a bend
         wall_x_min_m=x_0 + away_m,
         wall_x_max_m=x_1 - away_m,
         wall_y_min_m=y_0 + away_m,

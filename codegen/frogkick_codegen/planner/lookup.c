@@ -12,17 +12,6 @@ static int32_t fk_clamp(int32_t value, int32_t limit)
     return (value < -limit) ? -limit : value;
 }
 
-/* Products of two halves are one instruction each on the chip. */
-static int32_t fk_products(uint32_t two, uint32_t by)
-{
-    return fk_low(two) * fk_low(by) + fk_high(two) * fk_high(by);
-}
-
-static uint32_t fk_pair(int32_t low, int32_t high)
-{
-    return ((uint32_t)low & 0xFFFFU) | ((uint32_t)high << 16);
-}
-
 /* Kind nearest: the block's quadratic of the row's codes, and the residual. Widths: a factor is within
  * +-16384 and |coefficients| sum to 131 071 at most, so the sum is within +-2 147 467 264 < 2^31; it shifts
  * to +-131 071, and a residual adds less than 2^20. */
@@ -34,6 +23,7 @@ static inline void fk_predict(const fk_tables_t *tables, const fk_lookup_t *look
     const uint8_t *column = tables->columns + 4U * place;
     uint32_t value;
 
+    FK_ROLLED
     for (value = 0U; value < 3U; value++) {
         const uint32_t shift = tables->shift[first + value];
         const uint32_t head = fk_read_u32(column); /* u16 bit offset, u8 bits */
@@ -45,7 +35,7 @@ static inline void fk_predict(const fk_tables_t *tables, const fk_lookup_t *look
         int32_t sum = 0;
         uint32_t index;
         for (index = 0U; index < FK_COEFFICIENTS / 2U; index++) {
-            sum += fk_products(fk_read_u32(coefficients + 4U * index), lookup->factors[index]);
+            sum = fk_add_products(sum, fk_read_u32(coefficients + 4U * index), lookup->factors[index]);
         }
         codes[value] = (sum >> shift) + (int32_t)(residual * tables->unit[first + value]);
         coefficients += 2U * FK_COEFFICIENTS;
@@ -67,26 +57,25 @@ static inline void fk_correct(const fk_tables_t *tables, const fk_lookup_t *look
     const uint32_t place = 6U * action + first;
     const uint8_t *column = tables->columns + column_bytes * place;
     const uint8_t *residual = lookup->residuals + 4U * place;
+    const uint32_t offsets = fk_pair(lookup->offset[0], lookup->offset[1]);
     uint32_t value;
 
+    FK_ROLLED
     for (value = 0U; value < 3U; value++) {
         const uint32_t word = fk_read_u32(residual);
         const uint32_t shift = tables->shift[first + value];
-        uint32_t two = fk_read_u32(column);
-        int32_t sum = (int32_t)((1U << shift) >> 1);
+        uint32_t two = fk_add_halves(fk_read_u32(column), (word & 127U) | ((word << 9) & 0x7F0000U));
         int32_t code = (int32_t)((word >> 21) * tables->unit[first + value]);
+        int32_t sum = fk_add_products((int32_t)((1U << shift) >> 1), two, offsets);
 
-        sum += (fk_low(two) + (int32_t)(word & 127U)) * lookup->offset[0];
-        sum += (fk_high(two) + (int32_t)((word >> 7) & 127U)) * lookup->offset[1];
         two = fk_read_u32(column + 4);
         sum += (fk_low(two) + (int32_t)((word >> 14) & 127U)) * lookup->offset[2];
         code += fk_high(two) + (sum >> shift);
-        two = fk_read_u32(column + 8);
-        sum = fk_products(two, lookup->factors[0]);
-        sum += fk_products(fk_read_u32(column + 12), lookup->factors[1]);
-        if (column_bytes > 16U) {
-            sum += fk_products(fk_read_u32(column + 16), lookup->factors[2]);
-            sum += fk_products(fk_read_u32(column + 20), lookup->factors[3]);
+        sum = fk_add_products(0, fk_read_u32(column + 8), lookup->factors[0]);
+        sum = fk_add_products(sum, fk_read_u32(column + 12), lookup->factors[1]);
+        if (FK_SELDOM(column_bytes > 16U)) {
+            sum = fk_add_products(sum, fk_read_u32(column + 16), lookup->factors[2]);
+            sum = fk_add_products(sum, fk_read_u32(column + 20), lookup->factors[3]);
         }
         codes[value] = code + (sum >> 15);
         column += column_bytes;
@@ -96,8 +85,8 @@ static inline void fk_correct(const fk_tables_t *tables, const fk_lookup_t *look
 
 /* Three values of a transition, from the first on, with what worn limbs change, before they are clamped. A shift is an
  * int16, so the sum stays far below 2^31. */
-static inline void fk_decode(const fk_tables_t *tables, const fk_lookup_t *lookup, uint32_t action,
-                             uint32_t first, int32_t codes[3])
+FK_INLINE void fk_decode(const fk_tables_t *tables, const fk_lookup_t *lookup, uint32_t action, uint32_t first,
+                         int32_t codes[3])
 {
     if (tables->kind == FK_KIND_NEAREST) {
         fk_predict(tables, lookup, action, first, codes);

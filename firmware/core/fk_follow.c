@@ -91,14 +91,15 @@ static void mark_progress(fk_follow_t *follow, const fk_tables_t *tables, const 
 }
 
 int32_t fk_follow_decided(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,
-                          const fk_plan_config_t *config, const fk_plan_t *plan)
+                          const fk_plan_config_t *config, const fk_plan_t *plan, int32_t lacks_a_limb)
 {
+    const uint32_t idle_max = (lacks_a_limb != 0) ? FK_IDLE_LACKING_MAX : FK_IDLE_DECISIONS_MAX;
     follow->along_points = plan->along_points;
     mark_progress(follow, tables, path, plan->distance_m);
     if (plan->path_index + 1u >= path->count) {
         return (config->cost == FK_COST_ROUTE) ? end_status(tables, plan->distance_m) : FK_STATUS_OK;
     }
-    return (follow->idle >= FK_IDLE_DECISIONS_MAX) ? FK_STATUS_STALLED : FK_FOLLOW_ON;
+    return (follow->idle >= idle_max) ? FK_STATUS_STALLED : FK_FOLLOW_ON;
 }
 
 int32_t fk_follow_fixed(const fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,

@@ -10,6 +10,7 @@
 
 #define FK_FOLLOW_ON 1               /* the run goes on; every other value is an ENDED status */
 #define FK_IDLE_DECISIONS_MAX 40u    /* without progress or approach by a quarter of the longest stroke: stalled */
+#define FK_IDLE_LACKING_MAX 20u      /* the same of a robot that lacks a limb */
 
 typedef struct {
     float along_points;    /* where along the path the robot was at the last decision; 0 at the start */
@@ -34,10 +35,11 @@ void fk_follow_change(fk_follow_t *follow, const fk_tables_t *tables, const fk_p
  * @retval FK_FOLLOW_ON       goes on
  * @retval FK_STATUS_OK       the path's end is reached
  * @retval FK_STATUS_PASSED   the end is passed, more than one longest stroke beside it (cost route)
- * @retval FK_STATUS_STALLED  neither progress nor approach for FK_IDLE_DECISIONS_MAX decisions
+ * @param lacks_a_limb  not 0: one of its limbs is known to be lost (fk_wear_lacks_a_limb)
+ * @retval FK_STATUS_STALLED  neither progress nor approach for FK_IDLE_DECISIONS_MAX decisions, or FK_IDLE_LACKING_MAX
  */
 int32_t fk_follow_decided(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,
-                          const fk_plan_config_t *config, const fk_plan_t *plan);
+                          const fk_plan_config_t *config, const fk_plan_t *plan, int32_t lacks_a_limb);
 
 /* Between decisions, at a fix: with the cost route a run ends where the robot crosses the path's end, not up to a
  * period later.

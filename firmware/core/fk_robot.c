@@ -168,7 +168,8 @@ static void decide(fk_robot_t *robot)
         status = fk_plan(&robot->tables, &robot->path, &robot->plan, &estimate.state, &plan);
     }
     if (status == FK_STATUS_OK) {
-        end = fk_follow_decided(&robot->follow, &robot->tables, &robot->path, &robot->plan, &plan);
+        end = fk_follow_decided(&robot->follow, &robot->tables, &robot->path, &robot->plan, &plan,
+                                fk_wear_lacks_a_limb(&robot->estimator.track.wear));
     } else {
         plan.action = robot->resting_action;
     }

@@ -42,6 +42,15 @@ void fk_wear_use(fk_wear_t *wear, fk_tables_t *tables)
     }
 }
 
+int32_t fk_wear_lacks_a_limb(const fk_wear_t *wear)
+{
+    int32_t lacks = 0;
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        lacks |= (wear->lost[limb] >= FK_WEAR_GONE) ? 1 : 0;
+    }
+    return lacks;
+}
+
 static float lost_share(uint32_t lost) { return (float)lost / (float)FK_LOST_MAX; }
 
 void fk_wear_restart(fk_wear_t *wear)

@@ -18,6 +18,7 @@
 #include "fk_tables.h"
 
 #define FK_WEAR_UNKNOWNS (3u + FK_LIMBS_MAX)
+#define FK_WEAR_GONE 26214u /* share (0.8, of FK_LOST_MAX) */
 #define FK_WEAR_SUMS (FK_WEAR_UNKNOWNS * (FK_WEAR_UNKNOWNS + 1u) / 2u)
 
 typedef struct {
@@ -48,6 +49,9 @@ void fk_wear_restart(fk_wear_t *wear);
 
 /* Learn from a period, and have the tables tell what these limbs do. */
 void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t *period);
+
+/* 1 where a limb is believed to be lost: to have lost FK_WEAR_GONE of its contribution. */
+int32_t fk_wear_lacks_a_limb(const fk_wear_t *wear);
 
 /* Have the tables tell what limbs do that have lost what `lost` says. */
 void fk_wear_use(fk_wear_t *wear, fk_tables_t *tables);

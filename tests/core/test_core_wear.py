@@ -8,15 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.core.core import Robot, cases, image
+from tests.core.core import STATUS, Robot, cases, image
 from tests.core.estimator_rig import swim
 from tests.core.log_rig import fetched, robot_with_log
 from tests.core.test_core_log_replay import replayed, restored, snapshot_of
 
+from frogkick.estimator.follow import IDLE_LACKING_MAX
 from frogkick.estimator.wear import HELD, OFF, ON
+from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.runs.chip_state import SnapshotError, read_state
 from frogkick.tables.image import open_image
+from frogkick.tables.layout import LIMB_GONE
 
 LEARN = link_layout().parameter["LEARN"]
 
@@ -79,6 +82,21 @@ def test_what_was_learned_is_held_and_forgotten() -> None:
     assert set_learn(robot, HELD) == set_learn(robot, ON) == "OK" and lost_of(robot) == learned
     assert set_learn(robot, OFF) == "OK" and lost_of(robot) == [0, 0, 0, 0]
     assert set_learn(robot, ON) == "OK" and lost_of(robot) == [0, 0, 0, 0]
+
+
+def test_a_robot_that_lacks_a_limb_gives_up_after_half_as_many_decisions() -> None:
+    robot = worn(1, 60)
+    assert robot.status("STOP") == set_learn(robot, HELD) == "OK"
+    assert max(lost_of(robot)) >= LIMB_GONE
+    assert robot.status("ARM") == robot.fix() == robot.start() == "OK"
+    told: list[Frame] = []
+    while not any(frame.name == "ENDED" for frame in told):
+        robot.run_until(robot.now_us + 200_000)
+        told += robot.take_all()
+        robot.fix()
+    assert told[-1].values["status"] == STATUS["STALLED"]
+    assert told[-1].values["decisions"] == IDLE_LACKING_MAX + 1
+    assert replayed(fetched(robot)).mismatches == []
 
 
 def test_a_snapshot_in_which_more_is_lost_than_there_is_is_refused() -> None:

@@ -16,7 +16,9 @@ from frogkick.cli.app import app
 from frogkick.core.errors import InputError
 from frogkick.estimator.wear import NOISE, WearFilter
 from frogkick.front.default_tables import default_tables
+from frogkick.runs.record import LEARN, limb_events
 from frogkick.tables.image import Tables, read_image
+from frogkick.tables.layout import LOST_MAX
 
 WORN = '[[effect]]\nname = "limb_wear"\nlimb = "front_right"\ngain = 0.65\n'
 PERIOD_S = 1.425
@@ -105,6 +107,24 @@ def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
     assert lost.shape == (told["decisions"], 8) and not lost[0].any() and lost[-1].any()
     again = fk.replay(log, robot="pool", plan="both").as_json()
     assert again["mismatches"] == 0 and again["agreement_with_recorded"] > 0.8
+
+
+def test_events_tell_when_a_limb_is_named_and_believed_again(table: Path) -> None:
+    plain = fk.run(table, "line", robot="pool", plan="host", time_limit_s=16.0)
+    assert plain.as_json()["limb_events"] is None
+    shares = [0.0, 0.3, 0.9, 0.6, 0.85, 0.4, 0.0, 0.2, 0.0]
+    codes = np.zeros((len(plain.log.decisions), 8), dtype=np.int64)
+    codes[: len(shares), 1] = np.round(np.array(shares) * LOST_MAX)
+    decided = replace(plain.log.decisions, extra={"lost": codes})
+    told = limb_events(replace(plain.log, decisions=decided, made={LEARN: "front_right, front_left"}))
+    assert told is not None and {event["limb"] for event in told} == {"front_left"}
+    assert [(event["event"], round(event["share"], 1)) for event in told] == [
+        ("worn", 0.3),
+        ("lost", 0.9),
+        ("works", 0.4),
+        ("worn", 0.2),
+        ("works", 0.0),
+    ]
 
 
 @from_ci

@@ -14,6 +14,7 @@ from frogkick.tables.image import Tables
 Float32 = npt.NDArray[np.float32]
 
 IDLE_DECISIONS_MAX = 40
+IDLE_LACKING_MAX = 20
 _GAIN = np.float32(0.25)
 
 
@@ -29,7 +30,8 @@ class Follow:
     """Progress of one run along a path.
 
     A decision makes progress if it brings the robot a quarter of its longest stroke further along the path,
-    or that much nearer to it. After IDLE_DECISIONS_MAX decisions without progress the run has stalled.
+    or that much nearer to it. After IDLE_DECISIONS_MAX decisions without progress the run has stalled,
+    after IDLE_LACKING_MAX where the robot lacks a limb.
 
     Attributes:
         path: the path that is followed.
@@ -89,13 +91,19 @@ class Follow:
         across = away - parts * along
         return parts, across[0] * across[0] + across[1] * across[1]
 
-    def decided(self, plan: Plan) -> End | None:
-        """Note a decision; return why the run ends with it, or None."""
+    def decided(self, plan: Plan, lacks_a_limb: bool = False) -> End | None:
+        """Note a decision; return why the run ends with it, or None.
+
+        Args:
+            plan: what was decided.
+            lacks_a_limb: one of the robot's limbs is believed to be lost.
+        """
         self.along_points = plan.along_points
         self._note_progress(plan.distance_m)
         if plan.path_index + 1 >= self._path.shape[1]:
             return self._end(plan.distance_m) if self._is_route else End.COMPLETED
-        return End.STALLED if self._idle >= IDLE_DECISIONS_MAX else None
+        idle_max = IDLE_LACKING_MAX if lacks_a_limb else IDLE_DECISIONS_MAX
+        return End.STALLED if self._idle >= idle_max else None
 
     def fixed(self, x_m: np.float32, y_m: np.float32) -> End | None:
         """Note a fix; return why the run ends with it, or None.

@@ -57,7 +57,15 @@ from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
 from frogkick.runs.live_log import logged, part_of
-from frogkick.runs.record import BATTERY_V, Tracking, lost_of, made_of, run_log, tracking_of_recording
+from frogkick.runs.record import (
+    BATTERY_V,
+    Tracking,
+    limb_events,
+    lost_of,
+    made_of,
+    run_log,
+    tracking_of_recording,
+)
 from frogkick.runs.recorded import import_recorded
 from frogkick.runs.recorded import load_run as load_log
 from frogkick.runs.runlog import RunLog
@@ -179,9 +187,10 @@ class Run(RunLog):
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""
-        learned = {"lost": lost_of(self), "wall_clearance_m": clearance_m(self)}
+        learned = {"lost": lost_of(self), "limb_events": limb_events(self)}
         then = {"then": then_json(self), "hold": hold_json(self)}
-        return {**self.tracking.as_json(), **self.checked, **learned, **then, "ended": self.ended}
+        rest = {"wall_clearance_m": clearance_m(self), "ended": self.ended}
+        return {**self.tracking.as_json(), **self.checked, **learned, **then, **rest}
 
     def __repr__(self) -> str:
         name = "no path" if self.path is None else self.path.name

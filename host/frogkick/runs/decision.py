@@ -19,7 +19,7 @@ from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
 from frogkick.planner.plan import PathLike, PlanConfig, PlanError, plan
 from frogkick.tables.image import Tables
-from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
+from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
 Float32 = npt.NDArray[np.float32]
 
@@ -195,7 +195,7 @@ def decide(
     planned = {
         entry.name: getattr(made, entry.name) for entry in fields(made) if hasattr(resting, entry.name)
     }
-    return replace(resting, status=0, **planned), follow.decided(made)
+    return replace(resting, status=0, **planned), follow.decided(made, bool(np.any(tables.lost >= LIMB_GONE)))
 
 
 class DecisionTwin:

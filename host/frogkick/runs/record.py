@@ -29,7 +29,7 @@ from frogkick.runs.decision import NOTHING_LOST, Decision
 from frogkick.runs.holding import hold_spans
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.tables.image import Tables
-from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
+from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
 BATTERY_V = "battery_v"
 """Key of ``RunLog.measured``: lowest battery voltage, measured by a person before the run."""
@@ -40,8 +40,8 @@ LEARN, LOST = "learn", "lost_"
 CANNOT_FOLLOW = "cannot follow"
 """How the reason begins for which a run ended that lacked a limb."""
 
-GONE = 0.8
-"""Lost share from which a limb is named as what keeps a robot from its path."""
+BELIEVED_AGAIN = 0.5
+"""Lost share below which a limb that was lost no longer is."""
 
 _REQUIRED = (*list(WEIGHTS)[:4], "depth")
 """Planner settings that every log has; older logs lack the others, which keep their defaults."""
@@ -214,7 +214,7 @@ def run_log(
 
 def _ended(ended: str, lost: Mapping[str, float]) -> str:
     """Why a run ended; of one that could not follow its path, also which limbs it lacks."""
-    gone = [key.removeprefix(LOST) for key, share in lost.items() if share >= GONE]
+    gone = [key.removeprefix(LOST) for key, share in lost.items() if share * LOST_MAX >= LIMB_GONE]
     if gone and ended in (End.STALLED.value, End.PASSED.value):
         return f"{CANNOT_FOLLOW} without {', '.join(gone)}: {ended}"
     return ended
@@ -235,6 +235,35 @@ def lost_of(run: RunLog) -> dict[str, float] | None:
     """Share of its contribution that each limb had lost, as learned by the run's end; None: nothing."""
     known = run.measured.items()
     return {key.removeprefix(LOST): share for key, share in known if key.startswith(LOST)} or None
+
+
+def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
+    """When a run that learned named a limb, and when it believed in it again; None: it did not learn.
+
+    Returns:
+        In order of time, each with ``time_s`` of the decision, ``limb``, ``event`` and the lost ``share``:
+        ``worn``: something; ``lost``: at least 0.8 of its contribution; ``works``: less than 0.5 after it
+        was lost, or nothing after it was worn.
+    """
+    if "lost" not in run.decisions.extra:
+        return None
+    limbs = learned_limbs(run)
+    codes = np.asarray(run.decisions.extra["lost"])[:, : len(limbs)]
+    named = dict.fromkeys(limbs, "works")
+    events: list[dict[str, Any]] = []
+    for time_s, row in zip(run.decisions.time_s, codes, strict=True):
+        for limb, code in zip(limbs, row, strict=True):
+            share = float(code) / LOST_MAX
+            if code >= LIMB_GONE:
+                event = "lost"
+            elif named[limb] == "lost" and share >= BELIEVED_AGAIN:
+                continue
+            else:
+                event = "worn" if share and named[limb] != "lost" else "works"
+            if event != named[limb]:
+                named[limb] = event
+                events.append({"time_s": float(time_s), "limb": limb, "event": event, "share": share})
+    return events
 
 
 def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]:

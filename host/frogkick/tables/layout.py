@@ -122,6 +122,9 @@ WEAR_KNOTS_MAX = 16
 WEAR_CODE_MAX = 32767
 LOST_MAX = 32767
 """A limb's lost share as an integer: all of it."""
+
+LIMB_GONE = 26214
+"""A limb that has lost this share (0.8) or more counts as lost."""
 USE_MAX = 32767
 USE_SHIFT = 15
 

@@ -4,8 +4,8 @@
 
 #define FK_WEAR_FADING 0.96f      /* what remains of older periods' weight at each new one: half of it after 17 */
 #define FK_WEAR_PENALTY 9.0f      /* what a limb or the current must explain to be believed: three standard deviations */
-#define FK_WEAR_SURPRISE 30.0f    /* a squared miss beyond this: limbs have changed, and of older periods remains ... */
-#define FK_WEAR_SURPRISED 0.3f    /* ... this much more of the weight */
+#define FK_WEAR_SURPRISE 8.0f     /* a squared miss beyond this: a limb may have broken. What older periods tell of limbs */
+#define FK_WEAR_SURPRISED 0.3f    /* keeps this much of its weight; what they tell of the current keeps all of it */
 #define FK_WEAR_MISSED_MOST 1e6f  /* a squared miss beyond this, or no number, tells nothing of limbs */
 #define FK_WEAR_SECANT 22937u     /* lost share (0.7) up to which a wear curve counts as a straight line; beyond it, as
                                      the line to its place */
@@ -280,6 +280,17 @@ static void believe(fk_wear_t *wear, const fk_tables_t *tables)
     }
 }
 
+/* What limbs explain, as worn as they are believed to be, of what periods told of a number of the current. */
+static float of_limbs(const fk_wear_t *wear, const fk_tables_t *tables, uint32_t current)
+{
+    float sum = 0.0f;
+    for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
+        const uint32_t at = 3u + limb;
+        sum = sum + wear->information[at * (at + 1u) / 2u + current] * lost_share(wear->lost[limb]);
+    }
+    return sum;
+}
+
 void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t *period)
 {
     float missed[3];
@@ -306,15 +317,18 @@ void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t 
     }
     const float kept = (square > FK_WEAR_SURPRISE) ? FK_WEAR_FADING * FK_WEAR_SURPRISED : FK_WEAR_FADING;
     for (uint32_t i = 0u; i < unknowns; ++i) {
+        const float fading = (i < 3u) ? FK_WEAR_FADING : kept; /* the current does not change as suddenly as a limb */
+        const float dropped = (i < 3u) ? (FK_WEAR_FADING - kept) * of_limbs(wear, tables, i) : 0.0f;
+        const float faded = fading * wear->vector[i] - dropped;
         const float a = weight[0] * row[0][i];
         const float b = weight[1] * row[1][i];
         const float c = weight[2] * row[2][i];
         for (uint32_t j = 0u; j <= i; ++j) {
             wear->information[next] =
-                kept * wear->information[next] + ((a * row[0][j] + b * row[1][j]) + c * row[2][j]);
+                fading * wear->information[next] + ((a * row[0][j] + b * row[1][j]) + c * row[2][j]);
             ++next;
         }
-        wear->vector[i] = kept * wear->vector[i] + ((a * missed[0] + b * missed[1]) + c * missed[2]);
+        wear->vector[i] = faded + ((a * missed[0] + b * missed[1]) + c * missed[2]);
     }
     believe(wear, tables);
     fk_wear_use(wear, tables);

@@ -19,7 +19,7 @@ from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.runs.chip_state import SnapshotError, read_state
 from frogkick.tables.image import open_image
-from frogkick.tables.layout import LIMB_GONE
+from frogkick.tables.layout import LIMB_GONE, LOST_MAX
 
 LEARN = link_layout().parameter["LEARN"]
 
@@ -102,10 +102,10 @@ def test_a_robot_that_lacks_a_limb_gives_up_after_half_as_many_decisions() -> No
 def test_a_snapshot_in_which_more_is_lost_than_there_is_is_refused() -> None:
     whole = snapshot_of(worn(1, 50))
     wear = read_state(whole, open_image(image())).estimator.track.wear
-    assert wear is not None and wear.codes.any()
-    known = struct.pack("<4H", *wear.codes.tolist())
-    assert whole.count(known) == 1 and restored(whole) == 0
-    damaged = whole.replace(known, known[:6] + struct.pack("<H", 32768))
+    everything = struct.pack("<H", LOST_MAX)
+    assert wear is not None and wear.codes[3] == LOST_MAX
+    assert whole.count(everything) == 1 and restored(whole) == 0
+    damaged = whole.replace(everything, struct.pack("<H", LOST_MAX + 1))
     assert restored(damaged) == -1
     with pytest.raises(SnapshotError, match="32768, at most 32767"):
         read_state(damaged, open_image(image()))

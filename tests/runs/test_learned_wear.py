@@ -109,6 +109,39 @@ def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
     assert again["mismatches"] == 0 and again["agreement_with_recorded"] > 0.8
 
 
+def straight(filt: WearFilter, lost: list[float], current: list[float], periods: int, seed: int) -> None:
+    """Periods of a robot that swims along the x axis with an action that fires all limbs."""
+    tables = filt.tables.worn([0] * filt.tables.limbs)
+    action = [row.first_mask | row.second_mask for row in tables.actions].index(2**tables.limbs - 1)
+    scale, rng = np.asarray(tables.motion_scale, dtype=np.float64), np.random.default_rng(seed)
+    true = tables.worn(np.round(np.array(lost) * LOST_MAX).astype(int)).shift[action, :3] * scale
+    for _ in range(periods):
+        missed = true - filt.tables.shift[action, :3] * scale + np.array(current) * PERIOD_S
+        missed += 0.3 * np.array(NOISE) * rng.standard_normal(3)
+        filt.learn(
+            missed.astype(np.float32), np.zeros(3, np.float32), np.float32(0.0), action, np.float32(PERIOD_S)
+        )
+
+
+@pytest.mark.parametrize("limb", range(4))
+def test_a_limb_that_breaks_on_a_straight_way_is_named_within_three_strokes(table: Path, limb: int) -> None:
+    for seed, before in enumerate((2, 5, 10, 30)):
+        filt = WearFilter(read_image(table))
+        straight(filt, [0.0] * 4, [0.0] * 3, before, seed)
+        assert not filt.codes.any()
+        straight(filt, list(np.eye(4)[limb]), [0.0] * 3, 3, seed)
+        assert np.flatnonzero(filt.codes).tolist() == [limb]
+
+
+@pytest.mark.parametrize("way_deg", range(0, 360, 30))
+def test_a_current_on_a_straight_way_is_no_limb(table: Path, way_deg: int) -> None:
+    way = np.radians(way_deg)
+    for seed, speed_mps in enumerate((0.001, 0.003, 0.005)):
+        filt = WearFilter(read_image(table))
+        straight(filt, [0.0] * 4, [speed_mps * np.cos(way), speed_mps * np.sin(way), 0.0], 15, seed)
+        assert not filt.codes.any()
+
+
 def test_events_tell_when_a_limb_is_named_and_believed_again(table: Path) -> None:
     plain = fk.run(table, "line", robot="pool", plan="host", time_limit_s=16.0)
     assert plain.as_json()["limb_events"] is None

@@ -35,7 +35,7 @@ NOISE = (0.0012, 0.0012, 0.02)
 _NOISE = np.array([1.44e-6, 1.44e-6, 4e-4], dtype=np.float32)
 _CURRENT_INFORMATION = np.array([111111.11, 111111.11, 40000.0], dtype=np.float32)  # 3 mm/s, 0.005 rad/s
 _FADING, _OUTLIER_FADING = _F(0.96), _F(0.3)
-_PENALTY, _OUTLIER, _ERROR_MOST = _F(9), _F(30), _F(1e6)
+_PENALTY, _OUTLIER, _ERROR_MOST = _F(9), _F(8), _F(1e6)
 _SECANT = 22937
 _LEAST, _MOST, _APART = _F(0.02), _F(1.3), _F(1e-3)
 _RESTARTED = _F(18)  # twice the penalty: it fades within 16 periods that tell nothing of the limb
@@ -144,10 +144,19 @@ class WearFilter:
         kept = _FADING * _OUTLIER_FADING if square > _OUTLIER else _FADING
         weighted = weight[:, None] * rows
         products = weighted[:, :, None] * rows[:, None, :]
-        lower = np.tril(kept * self._information + ((products[0] + products[1]) + products[2]))
+        # A limb breaks suddenly, a current seldom begins so: what older periods told of it, with the limbs
+        # as they were believed to be, keeps its weight.
+        of_limbs = np.zeros(3, dtype=np.float32)
+        for limb, share in enumerate(values[3:]):
+            of_limbs = of_limbs + self._information[3 + limb, :3] * share
+        weights = np.full_like(self._information, kept)
+        weights[:3, :3] = _FADING
+        lower = np.tril(weights * self._information + ((products[0] + products[1]) + products[2]))
         self._information = lower + np.tril(lower, -1).T
         parts = weighted * error[:, None]
-        self._vector = kept * self._vector + ((parts[0] + parts[1]) + parts[2])
+        faded = kept * self._vector
+        faded[:3] = _FADING * self._vector[:3] - (_FADING - kept) * of_limbs
+        self._vector = faded + ((parts[0] + parts[1]) + parts[2])
         self._select()
 
     def _regression(

@@ -160,6 +160,7 @@ def test_a_table_of_another_robot_finds_its_file(here: Path, tmp_path: Path, cap
     assert frogkick(capsys, *options).code == 0
 
 
+@from_ci
 def test_tables_within_a_budget(
     here: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

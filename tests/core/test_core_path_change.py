@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.core.core import (
     FFI,
     PERIOD_US,
@@ -256,6 +256,7 @@ def places(name: str, many: int) -> list[tuple[float, float]]:
     return [(float(np.float32(x)), float(np.float32(y))) for x, y in some_places]
 
 
+@from_ci
 @pytest.mark.parametrize("name", some(CURVES, 1))
 def test_where_a_robot_goes_on_is_the_same_in_c_and_python(name: str) -> None:
     path = curve(name)

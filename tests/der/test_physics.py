@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.der.energy import bending_energy, drag_power, kinetic_energy, stretching_energy
 from tests.der.rig import STILL, straight_rod
 from tests.der.single import simulate_action
@@ -195,6 +195,7 @@ def test_actions_converge_at_second_order(action: str) -> None:
     assert all(1.6 < order < 2.6 for order in orders(errors))
 
 
+@from_ci
 def test_gaits_converge_at_second_order() -> None:
     """Over many strokes too, at any frequency and phase: 0.2 % at the default step, and the order."""
     rng = np.random.default_rng(4)

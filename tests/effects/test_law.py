@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import some
+from tests.conftest import from_ci, some
 
 import frogkick as fk
 from frogkick.core.errors import InputError
@@ -317,6 +317,7 @@ def test_a_copy_of_a_law_acts_on_what_it_acts_on(given: dict[str, Any]) -> None:
         assert type(other) is type(law) and other.table == law.table
 
 
+@from_ci
 @pytest.mark.parametrize("given", some(LAWS_OF_ALL, 1), ids=lambda given: str(given["on"]))
 def test_a_run_in_a_world_with_a_law_is_another_run(given: dict[str, Any], tmp_path: Path) -> None:
     world = tmp_path / "world.toml"

@@ -22,6 +22,7 @@ pytestmark = from_ci  # its firmware takes 12 s to build
 STATE = link_layout().state
 
 
+@from_ci
 def test_a_stroke_over_the_radio(life: Life) -> None:
     session = life.session
     session.request("ARM")
@@ -208,6 +209,7 @@ def test_a_supply_that_falls_disarms(life: Life) -> None:
     assert life.state() == STATE["ARMED"]
 
 
+@from_ci
 def test_a_battery_that_is_low_at_rest_disarms(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

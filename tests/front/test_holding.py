@@ -45,6 +45,7 @@ def swum(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@from_ci
 def test_it_holds_until_the_time_is_over(swum: Path) -> None:
     run = fk.load_run(swum)
     found = run.as_json()

@@ -43,6 +43,7 @@ def round_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ring, Path, li
     return ring, out, sorted(path.name for path in out.iterdir())
 
 
+@from_ci
 def test_the_ring_leaves_every_stage_behind(round_once: tuple[Ring, Path, list[str]]) -> None:
     ring, out, left = round_once
     assert left == ["emitted", "firmware", "library.h5", "line.h5", "sine.h5", "tables.fkt"]

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import from_ci
 from tests.link.live_robot import LiveRobot
 from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
@@ -70,6 +71,7 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
     same_columns(read_run(target), whole, "fixes")
 
 
+@from_ci
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGKILL")
 def test_a_killed_run_leaves_what_it_had_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot, target = LiveRobot(), tmp_path / "run.h5"

@@ -294,6 +294,7 @@ def test_a_run_whose_connection_was_lost_for_too_long(camera: Path, tmp_path: Pa
     assert "the path was not completed, as the connection was lost" in said
 
 
+@from_ci
 @pytest.mark.parametrize(
     ("options", "words"),
     [

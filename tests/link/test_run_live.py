@@ -285,6 +285,7 @@ def test_a_signal_disarms_first(tmp_path: Path, number: signal.Signals) -> None:
         assert int(robot.core.ask("STATUS")["state"]) == STATE["DISARMED"]
 
 
+@from_ci
 @pytest.mark.parametrize("dialect", some(DIALECTS, 1))
 def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
     """Fixes piped in, numbers and a log out."""

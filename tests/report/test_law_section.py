@@ -78,6 +78,7 @@ def outcome_with(term: Term) -> Outcome:
     )
 
 
+@from_ci
 @pytest.mark.parametrize(("title", "limb", "values", "hangs", "said"), some(LAWS, 1))
 def test_a_law_is_told_in_words_as_a_formula_and_as_a_picture(
     title: str, limb: str, values: dict[str, float], hangs: str, said: str

@@ -9,7 +9,7 @@ import tempfile
 
 import numpy as np
 import pytest
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.runs import rig
 
 from frogkick.estimator.follow import IDLE_DECISIONS_MAX, End
@@ -100,6 +100,7 @@ def test_a_path_that_can_be_reached_is_reached_and_followed(
     assert recording.end_s < 0.5 * LIMIT_S
 
 
+@from_ci
 @pytest.mark.parametrize(
     ("path", "start"),
     some(

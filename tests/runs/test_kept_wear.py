@@ -97,6 +97,7 @@ def reset(port: Port, session: Session) -> Session:
     return again
 
 
+@from_ci
 @pytest.mark.parametrize("place", some(["pool", "virtual"], 1))
 def test_a_run_after_a_reset_goes_on_from_what_was_learned(
     place: str, images: dict[str, Path], tmp_path: Path

@@ -7,7 +7,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
-from tests.conftest import some
+from tests.conftest import from_ci, some
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
@@ -53,6 +53,7 @@ def swum() -> tuple[Recording, RunLog]:
     return swim("pool")
 
 
+@from_ci
 @pytest.mark.parametrize(
     ("place", "plan"), some([("virtual", "both"), ("pool", "host"), ("pool", "both")], 1)
 )

@@ -77,6 +77,7 @@ def altered(source: pathlib.Path, folder: pathlib.Path, **how: float) -> pathlib
     return file
 
 
+@from_ci
 @pytest.mark.parametrize("stretch", [0.75, 0.8, 1.25])
 @pytest.mark.parametrize("name", some(RUNS, 3))
 def test_a_run_at_another_period_is_read_at_that(

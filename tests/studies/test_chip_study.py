@@ -73,6 +73,7 @@ def test_states_are_from_the_box_and_beyond_it() -> None:
     assert 0.0 <= timed.along_points.min() <= timed.along_points.max() <= len(x) - 1
 
 
+@from_ci
 def test_a_summary_is_of_the_states_that_were_timed(small: Built) -> None:
     counts = {1: count(30, 30, 12), 2: count(9, 9, 3)}
     speeds = small.speed(counts)

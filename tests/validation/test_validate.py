@@ -180,6 +180,7 @@ def test_the_command_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert run_command(["validate", str(tmp_path / "none")]) == 2
 
 
+@from_ci
 def test_the_model_is_the_paper_s(frog2022_dir: Path) -> None:
     """Issue 4: 1.2 mm/s over frequency, 0.5 over phase offset, 0.3 mm within a cycle.
 

@@ -40,6 +40,9 @@ LEARN, LOST = "learn", "lost_"
 CANNOT_FOLLOW = "cannot follow"
 """How the reason begins for which a run ended that lacked a limb."""
 
+LOST_FOR = 3
+"""Decisions in a row for which a limb must seem lost to be called so."""
+
 BELIEVED_AGAIN = 0.5
 """Lost share below which a limb that was lost no longer is."""
 
@@ -242,19 +245,21 @@ def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
 
     Returns:
         In order of time, each with ``time_s`` of the decision, ``limb``, ``event`` and the lost ``share``:
-        ``worn``: something; ``lost``: at least 0.8 of its contribution; ``works``: less than 0.5 after it
-        was lost, or nothing after it was worn.
+        ``worn``: something; ``lost``: at least 0.8 of its contribution in LOST_FOR decisions in a row, as a
+        limb that misfires seldom seems to; ``works``: less than 0.5 after it was lost, or nothing after it
+        was worn.
     """
     if "lost" not in run.decisions.extra:
         return None
     limbs = learned_limbs(run)
     codes = np.asarray(run.decisions.extra["lost"])[:, : len(limbs)]
-    named = dict.fromkeys(limbs, "works")
+    named, seems_lost = dict.fromkeys(limbs, "works"), dict.fromkeys(limbs, 0)
     events: list[dict[str, Any]] = []
     for time_s, row in zip(run.decisions.time_s, codes, strict=True):
         for limb, code in zip(limbs, row, strict=True):
             share = float(code) / LOST_MAX
-            if code >= LIMB_GONE:
+            seems_lost[limb] = seems_lost[limb] + 1 if code >= LIMB_GONE else 0
+            if seems_lost[limb] >= LOST_FOR:
                 event = "lost"
             elif named[limb] == "lost" and share >= BELIEVED_AGAIN:
                 continue

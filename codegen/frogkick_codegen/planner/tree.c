@@ -13,7 +13,7 @@ typedef struct {
     float cost;           /* sum over the levels above, added from the root */
     float arc_m;          /* arc length along the route, from its first knot */
     uint32_t knot;        /* of the route */
-    uint32_t next_action; /* first action not yet tried */
+    uint32_t next_action; /* place in the search's order of the first action not yet tried */
     fk_dynamics_t dynamics;
     fk_lookup_t lookup;
 } fk_node_t;
@@ -206,15 +206,16 @@ static uint32_t fk_excluded(const fk_search_t *search, const fk_state_t *state)
 }
 
 /* The order in which a deeper level tries the first actions: the best so far, then by their cost at level 1, the
- * lowest on ties. How many they are. */
+ * lowest on ties. How many they are. Further actions of a branch follow the same order, with those behind the others
+ * that are no first actions: a cheap branch that is found early cuts more of the later ones. */
 static uint32_t fk_search_order(const fk_search_t *search, uint32_t best_action, uint8_t order[FK_ACTIONS_MAX])
 {
     uint32_t firsts = 0U;
+    uint32_t place;
     uint32_t count;
 
     for (count = 0U; count < search->tables->actions; count++) {
-        uint32_t place = firsts;
-
+        place = firsts;
         if (((search->excluded >> count) & 1U) != 0U) {
             continue;
         }
@@ -225,6 +226,13 @@ static uint32_t fk_search_order(const fk_search_t *search, uint32_t best_action,
         }
         order[place] = (uint8_t)count; /* < FK_ACTIONS_MAX */
         firsts += 1U;
+    }
+    place = firsts;
+    for (count = 0U; count < search->tables->actions; count++) {
+        if (((search->excluded >> count) & 1U) != 0U) {
+            order[place] = (uint8_t)count;
+            place += 1U;
+        }
     }
     return firsts;
 }
@@ -260,7 +268,7 @@ static void fk_search_keep(fk_search_t *search, uint32_t first_action, fk_plan_t
     search->best_action = search->tables->actions;
 }
 
-/* Search the tree, first actions in some order: 1 where it has to stop before its end. A level that is cut still
+/* Search the tree, the actions of each level in this order: 1 where it has to stop before its end. A level that is cut still
  * counts if the first one in order is finished; level 1 is always finished. */
 FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_t order[FK_ACTIONS_MAX],
                                                uint32_t firsts, fk_plan_t *plan)
@@ -285,7 +293,7 @@ FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_
             level -= 1U;
         }
         if (level > 0U) {
-            action = search->nodes[level].next_action;
+            action = order[search->nodes[level].next_action];
             search->nodes[level].next_action += 1U;
             continue;
         }

@@ -11,9 +11,9 @@ order in which branches are expanded and pruned, and these rules:
 - Only + - * / sqrt in float32, each rounded once. numba would turn ``int * float32`` into float64, so every
   integer is made a float32 first and every constant is one. There is no fastmath, so nothing is fused.
 - Integers where a comparison decides. Ties take the lowest action of the first level.
-- Level 1 is searched first, then the full depth, or level after level where the limit might cut that. From
-  the second level on, the best first action so far comes first, then the others by their cost at level 1
-  (ties: the lowest).
+- Level 1 is searched first, then the full depth, or level after level where the limit might cut that. There
+  the best first action so far comes first, then the others by their cost at level 1 (ties: the lowest);
+  further actions of a branch follow the same order, those that may not be first at its end.
 - Costs are not negative, so a branch whose cost has reached the best one cannot beat it and is pruned.
   Rounding keeps this exact: adding what is not negative never lowers a float32 sum.
 - A search that may evaluate only so many transitions stops before the next one. The first level is always
@@ -243,16 +243,18 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
 
 
 @njit(**ALLOCATING)
-def search_branch(search: _Search, depth: int, first: int) -> bool:
-    """Search the sequences of ``depth`` actions that begin with one; True where the limit stops it."""
+def search_branch(search: _Search, depth: int, first: int, order: Array) -> bool:
+    """Search the sequences of ``depth`` actions that begin with one; True where the limit stops it.
+
+    ``order`` (actions,) is that of the further actions.
+    """
     limit = search.settings.transitions_max
-    sequence = np.zeros(DEPTH_MAX, dtype=np.int64)
-    sequence[0] = first
+    sequence = np.zeros(DEPTH_MAX, dtype=np.int64)  # places in the order; the first one is given
     level: Any = np.int64(0)
     while True:
         if depth > 1 and limit > 0 and search.best[1] >= limit:
             return True
-        if expand(search, level, depth, first, sequence[level]):
+        if expand(search, level, depth, first, order[sequence[level]] if level > 0 else first):
             level += 1
             sequence[level] = 0
             continue
@@ -267,7 +269,7 @@ def search_branch(search: _Search, depth: int, first: int) -> bool:
 
 @njit(**ALLOCATING)
 def root_order(root_cost: Array, best: int) -> Array:
-    """Return the order in which a deeper level tries the first actions: ``best``, then by cost at level 1."""
+    """Return the order in which deeper levels try actions: ``best``, then by cost at level 1."""
     keys = root_cost.copy()
     keys[best] = -_F1
     order = np.zeros(len(keys), dtype=np.int64)
@@ -302,6 +304,7 @@ def search_levels(search: _Search, depth: int, moves: bool) -> Any:
     """Search level after level; leave cost and first action in ``search``. Return (action, depth reached)."""
     actions = action_count(search.table)
     root_cost = np.full(actions, np.inf, dtype=np.float32)
+    order = np.zeros(0, dtype=np.int64)
     candidates = 0
     best_action: Any = np.int64(0)  # a plain 0 is a type of its own: all below would be compiled for it too
     best_cost = np.float32(np.inf)
@@ -311,7 +314,7 @@ def search_levels(search: _Search, depth: int, moves: bool) -> Any:
         candidates += 1
         search.best[0] = actions
         search.best_cost[0] = np.float32(np.inf)
-        search_branch(search, np.int64(1), action)
+        search_branch(search, np.int64(1), action, order)
         root_cost[action] = search.best_cost[0]
         if root_cost[action] < best_cost:
             best_cost = root_cost[action]
@@ -322,8 +325,9 @@ def search_levels(search: _Search, depth: int, moves: bool) -> Any:
         search.best_cost[0] = np.float32(np.inf)
         stopped = False
         finished = 0
-        for action in root_order(root_cost, best_action)[:candidates]:
-            stopped = search_branch(search, levels, action)
+        order = root_order(root_cost, best_action)
+        for action in order[:candidates]:
+            stopped = search_branch(search, levels, action, order)
             if stopped:
                 break
             finished += 1

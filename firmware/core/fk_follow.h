@@ -32,11 +32,12 @@ void fk_follow_begin(fk_follow_t *follow);
 void fk_follow_change(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path, float x_m, float y_m);
 
 /* After a decision with a plan.
+ * @param lacks_a_limb  not 0: one of the robot's limbs is believed to be lost, see fk_wear_lacks_a_limb()
  * @retval FK_FOLLOW_ON       goes on
  * @retval FK_STATUS_OK       the path's end is reached
  * @retval FK_STATUS_PASSED   the end is passed, more than one longest stroke beside it (cost route)
- * @param lacks_a_limb  not 0: one of its limbs is known to be lost (fk_wear_lacks_a_limb)
- * @retval FK_STATUS_STALLED  neither progress nor approach for FK_IDLE_DECISIONS_MAX decisions, or FK_IDLE_LACKING_MAX
+ * @retval FK_STATUS_STALLED  neither progress nor approach for FK_IDLE_DECISIONS_MAX decisions, or for
+ *                            FK_IDLE_LACKING_MAX where it lacks a limb
  */
 int32_t fk_follow_decided(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,
                           const fk_plan_config_t *config, const fk_plan_t *plan, int32_t lacks_a_limb);

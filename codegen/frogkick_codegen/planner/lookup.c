@@ -46,9 +46,9 @@ static inline void fk_predict(const fk_tables_t *tables, const fk_lookup_t *look
 /* Kind affine: the row's value, its derivatives times the offset, the limbs' history. A residual is one word,
  * 7 bits for each of three derivatives, 11 for the value. One column is
  *   i16[3] least derivatives, i16 least value, i16 history of four limbs, or of eight where there are more.
- * Widths: a value is within +-(32767 + 2^20); a derivative within +-32767 and an offset within +-16383, so
- * three products and a half of 2^15 stay below 1.62e9 < 2^31; |history| sums to 65535 at most and a use is
- * within +-32768 whatever it says, so those products stay below 2^31. Shifts of negative numbers are
+ * Widths: a value is within +-(32767 + 2^20); a derivative within +-32767, so that two of them are added as halves, and
+ * an offset within +-16383, so three products and a half of 2^15 stay below 1.62e9 < 2^31; |history| sums to 65535 at
+ * most and a use is within +-32768 whatever it says, so those products stay below 2^31. Shifts of negative numbers are
  * arithmetic, towards minus infinity, as every compiler that builds for this chip defines them. */
 static inline void fk_correct(const fk_tables_t *tables, const fk_lookup_t *lookup, uint32_t action,
                               uint32_t first, int32_t codes[3])

@@ -268,8 +268,8 @@ static void fk_search_keep(fk_search_t *search, uint32_t first_action, fk_plan_t
     search->best_action = search->tables->actions;
 }
 
-/* Search the tree, the actions of each level in this order: 1 where it has to stop before its end. A level that is cut still
- * counts if the first one in order is finished; level 1 is always finished. */
+/* Search the tree, the actions of each level in this order: 1 where it has to stop before its end. A level that is cut
+ * still counts if the first one in order is finished; level 1 is always finished. */
 FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_t order[FK_ACTIONS_MAX],
                                                uint32_t firsts, fk_plan_t *plan)
 {

@@ -76,7 +76,7 @@ MUTATIONS = {
     "penalty": ("fk_wear.c", "FK_WEAR_PENALTY 9.0f", "FK_WEAR_PENALTY 8.0f"),
     "surprise": ("fk_wear.c", "FK_WEAR_SURPRISE 8.0f", "FK_WEAR_SURPRISE 10.0f"),
     "a current that fades as limbs do": ("fk_wear.c", "(i < 3u) ? FK_WEAR_FADING : kept;", "kept;"),
-    "what limbs explain of a current": ("fk_wear.c", "(FK_WEAR_FADING - kept) * of_limbs(", "0.0f * of_limbs("),
+    "what limbs explain": ("fk_wear.c", "(FK_WEAR_FADING - kept) * of_limbs(", "0.0f * of_limbs("),
     "secant": ("fk_wear.c", "FK_WEAR_SECANT 22937u", "FK_WEAR_SECANT 22938u"),
     "least share": ("fk_wear.c", "FK_WEAR_LEAST 0.02f", "FK_WEAR_LEAST 0.2f"),
     "largest share": ("fk_wear.c", "FK_WEAR_MOST 1.3f", "FK_WEAR_MOST 1.2f"),

@@ -23,7 +23,6 @@ static inline void fk_predict(const fk_tables_t *tables, const fk_lookup_t *look
     const uint8_t *column = tables->columns + 4U * place;
     uint32_t value;
 
-    FK_ROLLED
     for (value = 0U; value < 3U; value++) {
         const uint32_t shift = tables->shift[first + value];
         const uint32_t head = fk_read_u32(column); /* u16 bit offset, u8 bits */

@@ -157,11 +157,18 @@ def test_drifting_turns_a_body_by_munk_s_moment() -> None:
     moment = effect("munk_moment", mass_gap_kg=0.2)
     body = Body(0.0, (0.0, 0.0, 0.0), (0.03, 0.01, 0.0))
     assert moment.wrench(0.0, body) == pytest.approx((0.0, 0.0, 0.2 * 0.03 * 0.01))
+    for velocity in np.random.default_rng(1).normal(size=(20, 3)):
+        wrench = moment.wrench(0.0, Body(0.0, (0.0, 0.0, 0.0), tuple(velocity)))
+        assert abs(wrench[0]) > 0.0 and np.dot(wrench, velocity) == pytest.approx(0.0, abs=1e-12), "no work"
     drifting = Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.0))
     Acting([moment], ROBOT, RNG).advance(drifting, 0.5)
     plain = Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.0))
     plain.advance(0.5)
     assert drifting.velocity_body()[2] - plain.velocity_body()[2] > 0.01
+    turning, straight = (Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.2)) for _ in range(2))
+    Acting([moment], ROBOT, RNG).advance(turning, 0.5)
+    straight.advance(0.5)
+    assert straight.velocity_body()[0] - turning.velocity_body()[0] > 5e-4, "slowed in a turn"
 
 
 def test_legs_are_short_enough() -> None:

@@ -150,14 +150,20 @@ class LimbFatigue(GroupEffect):
 
 
 class MunkMoment(Effect):
-    """A body whose added mass differs forward and sideways turns while it drifts.
+    """A body whose added mass differs forward and sideways turns while it drifts, which slows it.
+
+    With forward speed u, speed to the left v and turn rate r, and a mass in motion that is larger forward by
+    g, Kirchhoff's equations have the torque g u v and the force -g v r forward. Together they do no work. The
+    inertia against acceleration sideways stays that of the rods.
 
     Source: Munk 1924, NACA report 184; Lamb 1932, article 124.
     """
 
     name = "munk_moment"
-    about = "a torque in proportion to forward times sideways speed"
-    shown_by = "turns while gliding sideways, whatever the limbs do"
+    about = (
+        "a torque with forward times sideways speed, and a force backward with sideways speed times turn rate"
+    )
+    shown_by = "turns while gliding sideways, and speed that is lost in turns, whatever the limbs do"
     joint_only = True
     parameters = (
         Parameter("mass_gap_kg", "kg", -0.4, 0.4, 0.0, "mass in motion forward less that to the side"),
@@ -166,5 +172,5 @@ class MunkMoment(Effect):
     mass_gap_kg: float
 
     def wrench(self, time_s: float, body: Body) -> Sequence[float]:
-        forward, left, _ = body.velocity_body
-        return (0.0, 0.0, self.mass_gap_kg * forward * left)
+        forward, left, turn = body.velocity_body
+        return (-self.mass_gap_kg * left * turn, 0.0, self.mass_gap_kg * forward * left)

@@ -42,7 +42,7 @@ FloatArray = NDArray[np.float64]
 STEPS_MAX = 5
 """Steps of the fit at most."""
 
-PART, PART_STEPS_MAX, WHOLE_STEPS_MAX = 60, 12, 2
+PART, PART_STEPS_MAX = 60, 12
 """From nominal values: the first so many periods are fitted in so many steps, then all periods."""
 
 LEG_S = 0.05
@@ -127,15 +127,23 @@ def refitted(
     free = len(flat) - len(fixed)
     # All effects come jointly: that is one choice, however many they are.
     plain, dear = best_end_deviance(nominal, swims), PARAMETER_PENALTY * free + EFFECT_PENALTY
-    models = [replace(start, noise=noise) for noise in NOISES]
-    deviances = [end_deviance(rollouts, swims) for rollouts in rollouts_of(models, swims)]
-    if measured and min(deviances) > plain - START_GAIN * len(terms):
+    model, deviance = at_best_noise(start, swims)
+    if measured and deviance > plain - START_GAIN * len(terms):
         return None  # a different robot
-    model, steps_max = models[int(np.argmin(deviances))], STEPS_MAX
     if not measured:
-        model, steps_max = GaussNewton(model, part_of(swims, PART)).run(PART_STEPS_MAX), WHOLE_STEPS_MAX
-    fitted = fitted_to_ends(model, swims, rows, nominal.model.robot, steps_max)
+        model = GaussNewton(model, part_of(swims, PART)).run(PART_STEPS_MAX)
+        # The noise that is best at nominal values need not be so at these.
+        model, _ = at_best_noise(model, swims)
+    fitted = fitted_to_ends(model, swims, rows, nominal.model.robot, STEPS_MAX)
     return fitted if end_deviance(fitted.rollouts, swims) < plain - dear else None
+
+
+def at_best_noise(model: Model, swims: Sequence[Segments]) -> tuple[Model, float]:
+    """The model at the one of NOISES with the lowest ``end_deviance``, and that deviance."""
+    models = [replace(model, noise=noise) for noise in NOISES]
+    deviances = [end_deviance(rollouts, swims) for rollouts in rollouts_of(models, swims)]
+    best = int(np.argmin(deviances))
+    return models[best], deviances[best]
 
 
 def fitted_to_ends(
@@ -143,7 +151,7 @@ def fitted_to_ends(
     swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     robot: Robot,
-    steps_max: int = WHOLE_STEPS_MAX,
+    steps_max: int,
 ) -> Fitted:
     """Fit a model to the ends of periods, with a coarsened frame and then with the robot's own."""
     model = GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(steps_max)

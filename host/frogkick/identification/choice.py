@@ -14,7 +14,6 @@ from frogkick.identification.calibrated import (
     best_end_deviance,
     calibrated_starts,
     end_deviance,
-    fitted_to_ends,
     refitted,
 )
 from frogkick.identification.fit import Model, derivatives, fit
@@ -279,14 +278,16 @@ def _search_in_part(
 def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Found:
     """The result without effects that are superfluous or unstable in the training runs.
 
-    Backward elimination, one effect at a time; the test runs have no part in it. An effect is superfluous if
-    held-out parts are predicted as well without it, and unstable if it is selected in fewer than STABLE of
-    the resamples. A law is also superfluous if the intervals of all its strengths contain 0. All this is
-    judged by derivatives; then the model without the effect is fitted again by simulation."""
+    Backward elimination, one effect at a time; the test runs have no part in it. Effects of a calibrated
+    start are one choice and stay together. An effect is superfluous if held-out parts are predicted as well
+    without it, and unstable if it is selected in fewer than STABLE of the resamples. A law is also
+    superfluous if the intervals of all its strengths contain 0. All this is judged by derivatives; then the
+    model without the effect is fitted again by simulation."""
     folds = folds_of(train, found.rows)
-    searched = bool(found.iterations)
+    if not found.iterations:
+        return replace(found, stability=stability(found.fitted, found.rows, train, False))
     while True:
-        stable = stability(found.fitted, found.rows, train, searched)
+        stable = stability(found.fitted, found.rows, train, True)
         place = superfluous_term(found.fitted, folds, train) if len(np.unique(folds)) > 1 else None
         if place is None and stable and min(stable) < STABLE:
             place = stable.index(min(stable))
@@ -299,10 +300,8 @@ def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Foun
         less = without(found.fitted.model, place)
         if not less.terms:
             fitted = found.nominal
-        elif searched:
-            fitted = derivatives([fit(less, train, found.rows, steps_max=2).model], train, found.rows)[0]
         else:
-            fitted = fitted_to_ends(less, train, found.rows, found.nominal.model.robot)
+            fitted = derivatives([fit(less, train, found.rows, steps_max=2).model], train, found.rows)[0]
         kept = [k for k in range(count) if k != place]
         rivals = [found.rivals[k] for k in kept] if found.rivals else []
         found = replace(

@@ -195,3 +195,5 @@ def test_what_few_draws_of_the_runs_would_take_is_unstable(
     alone = fitted_to(whole, begun[1], (term("limb_wear front_left", 0.99, 0.0, 1.0),), 0)
     kept = pruned(Found(begun[2], alone, [[]], begun[1], [[]]), whole, lambda *_: None)
     assert not kept.fitted.model.terms and not kept.stability and not kept.confounded_with
+    joint = pruned(Found(begun[2], alone, [], begun[1], [[]]), whole, lambda *_: None)
+    assert joint.fitted is alone and len(joint.stability) == 1, "what a calibrated start has stays together"

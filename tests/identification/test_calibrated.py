@@ -36,8 +36,8 @@ GENERIC = {
     "munk_moment": (0.1,),
     "off_centre_mass": (0.0, -0.001),
 }
-"""Rough values, from which no run's own are told. Three short runs do not tell a slow return of one limb or a
-fatigue of the left ones: both stay nominal."""
+"""Rough values; the gains of limbs are those of the file. Three short runs do not tell a slow return of one
+limb or a fatigue of the left ones: both stay nominal."""
 
 
 def test_a_robot_measured_before_is_a_relative_of_its_own_body_alone() -> None:

@@ -134,7 +134,7 @@ def refitted(
         model = GaussNewton(model, part_of(swims, PART)).run(PART_STEPS_MAX)
         # The noise that is best at nominal values need not be so at these.
         model, _ = at_best_noise(model, swims)
-    fitted = fitted_to_ends(model, swims, rows, nominal.model.robot, STEPS_MAX)
+    fitted = fitted_to_ends(model, swims, rows, nominal.model.robot)
     return fitted if end_deviance(fitted.rollouts, swims) < plain - dear else None
 
 
@@ -146,15 +146,9 @@ def at_best_noise(model: Model, swims: Sequence[Segments]) -> tuple[Model, float
     return models[best], deviances[best]
 
 
-def fitted_to_ends(
-    begin: Model,
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    robot: Robot,
-    steps_max: int,
-) -> Fitted:
+def fitted_to_ends(begin: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], robot: Robot) -> Fitted:
     """Fit a model to the ends of periods, with a coarsened frame and then with the robot's own."""
-    model = GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(steps_max)
+    model = GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(STEPS_MAX)
     rough = derivatives([model], swims, rows)[0]
     fine = replace(model, robot=robot)
     (rollouts,) = rollouts_of([fine], swims)

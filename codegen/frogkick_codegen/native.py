@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Float32
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, one_at_a_time
 from frogkick.core.shared_library import load
@@ -137,7 +138,7 @@ class NativeLibrary:
         limb_use: npt.ArrayLike | None = None,
         along_points: npt.ArrayLike = 0.0,
         lost: npt.ArrayLike | None = None,
-    ) -> npt.NDArray[Any]:
+    ) -> AnyArray:
         """Plan from many states, as ``frogkick.planner.plan.plan_batch`` does, in C.
 
         Args:
@@ -185,7 +186,7 @@ class NativeLibrary:
             raise TableError(f"the C planner refuses the table image (fk_error_t {status}): make it again")
         return rows
 
-    def sincos(self, angles_rad: npt.ArrayLike) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def sincos(self, angles_rad: npt.ArrayLike) -> tuple[Float32, Float32]:
         """Return ``fk_sincos`` of each angle: (sines, cosines), float32."""
         angles = np.ascontiguousarray(angles_rad, dtype=np.float32)
         sines, cosines = np.empty_like(angles), np.empty_like(angles)
@@ -193,7 +194,7 @@ class NativeLibrary:
         self._library.fk_native_sincos(self._floats(angles), angles.size, *outputs)
         return sines, cosines
 
-    def wrap_angle(self, angles_rad: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    def wrap_angle(self, angles_rad: npt.ArrayLike) -> Float32:
         """Return ``fk_wrap_angle`` of each angle, float32."""
         angles = np.ascontiguousarray(angles_rad, dtype=np.float32)
         wrapped = np.empty_like(angles)
@@ -206,5 +207,5 @@ class NativeLibrary:
             self._library.fk_native_crc32(start, self._ffi.from_buffer("uint8_t[]", content), len(content))
         )
 
-    def _floats(self, array: npt.NDArray[np.float32], write: bool = False) -> Any:
+    def _floats(self, array: Float32, write: bool = False) -> Any:
         return self._ffi.from_buffer("float[]", array, require_writable=write)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, UInt16
 from frogkick.core.shared_library import load
 from frogkick.planner.plan import PathLike, PlanConfig, path_rows
 from frogkick.tables.image import TableError
@@ -29,9 +30,9 @@ class BlockCounter:
         image: bytes,
         path: PathLike,
         config: PlanConfig,
-        states: npt.NDArray[np.float32],
-        limb_use: npt.NDArray[np.uint16],
-        along_points: npt.NDArray[np.float32],
+        states: Float32,
+        limb_use: UInt16,
+        along_points: Float32,
     ) -> npt.NDArray[np.uint32]:
         """Count the blocks of decisions.
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Float32, Int32, Int64
 from frogkick.core.shared_library import load
 from frogkick.tables.image import TableError, Tables
 from frogkick.tables.layout import LIMBS_MAX
@@ -21,9 +22,9 @@ TABLE_SOURCES = ("lookup.c", "math.c", "nearest.c", "tables.c", "tables_check.c"
 class LookedUp(NamedTuple):
     """What a table says of k states: rows (k,), motions (k, a, 3) float32, dynamics (k, a, 3 + LIMBS_MAX)."""
 
-    rows: npt.NDArray[np.int64]
-    motions: npt.NDArray[np.float32]
-    dynamics: npt.NDArray[np.int64]
+    rows: Int64
+    motions: Float32
+    dynamics: Int64
 
 
 class NativeTables:
@@ -81,9 +82,7 @@ class NativeTables:
         self._check(self._library.fk_native_nulls(*self._image(image), self._into("int32_t[]", statuses)))
         return [int(status) for status in statuses]
 
-    def velocity_codes(
-        self, velocities: npt.ArrayLike, codes_per_velocity: np.float32
-    ) -> npt.NDArray[np.int32]:
+    def velocity_codes(self, velocities: npt.ArrayLike, codes_per_velocity: np.float32) -> Int32:
         """Return ``fk_velocity_code`` of each velocity."""
         given = np.ascontiguousarray(velocities, dtype=np.float32)
         codes = np.zeros(len(given), dtype=np.int32)
@@ -95,7 +94,7 @@ class NativeTables:
         )
         return codes
 
-    def nearest(self, image: bytes, codes: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    def nearest(self, image: bytes, codes: npt.ArrayLike) -> Int64:
         """Return the row of each of (k, 3) velocity codes."""
         asked = np.ascontiguousarray(codes, dtype=np.int32)
         rows = np.zeros(len(asked), dtype=np.uint32)
@@ -137,7 +136,7 @@ class NativeTables:
     def _image(self, image: bytes) -> tuple[Any, int]:
         return self._ffi.from_buffer("uint8_t[]", image), len(image)
 
-    def _into(self, kind: str, array: npt.NDArray[Any]) -> Any:
+    def _into(self, kind: str, array: AnyArray) -> Any:
         return self._ffi.from_buffer(kind, array, require_writable=True)
 
     def _check(self, status: int) -> None:

@@ -10,22 +10,18 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt16
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows, plan_batch
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.native import NativeLibrary
 
-Float32 = npt.NDArray[np.float32]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
-UInt16 = npt.NDArray[np.uint16]
-Place = Callable[[Float32, Int32, UInt16, Float32], npt.NDArray[Any]]
+Place = Callable[[Float32, Int32, UInt16, Float32], AnyArray]
 
 DEPTH_SHARE = (0.62, 0.30, 0.075, 0.005)
 """Parts of the states that are planned at depth 1 to 4: each level costs about ten times the one before."""
@@ -98,7 +94,7 @@ class _Source:
     path: Float32
     ties: Int64
 
-    def base(self, count: int) -> npt.NDArray[np.float64]:
+    def base(self, count: int) -> Float64:
         """Poses about the path, any heading, velocities over the table's box."""
         x, y = self.path[0].astype(np.float64), self.path[1].astype(np.float64)
         scale = self.tables.velocity_scale.astype(np.float64)
@@ -106,27 +102,27 @@ class _Source:
         high = [x.max() + 0.2, y.max() + 0.2, np.pi, *(self.tables.states.max(axis=0) * scale)]
         return self.rng.uniform(low, high, (count, 6))
 
-    def velocity(self, codes: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def velocity(self, codes: npt.ArrayLike) -> Float64:
         return np.asarray(codes, dtype=np.float64) * self.tables.velocity_scale.astype(np.float64)
 
 
-def _uniform(source: _Source, count: int) -> npt.NDArray[Any]:
+def _uniform(source: _Source, count: int) -> AnyArray:
     return source.base(count)
 
 
-def _rest(source: _Source, count: int) -> npt.NDArray[Any]:
+def _rest(source: _Source, count: int) -> AnyArray:
     states = source.base(count)
     states[:, 3:] = 0.0
     return states
 
 
-def _table_row(source: _Source, count: int) -> npt.NDArray[Any]:
+def _table_row(source: _Source, count: int) -> AnyArray:
     states = source.base(count)
     states[:, 3:] = source.velocity(source.rng.choice(source.tables.states, count))
     return states
 
 
-def _table_edge(source: _Source, count: int) -> npt.NDArray[Any]:
+def _table_edge(source: _Source, count: int) -> AnyArray:
     """At the box's faces, edges and corners, and one code to either side."""
     states = source.base(count)
     codes = source.tables.states.astype(np.int64)
@@ -137,14 +133,14 @@ def _table_edge(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
-def _beyond(source: _Source, count: int) -> npt.NDArray[Any]:
+def _beyond(source: _Source, count: int) -> AnyArray:
     """Outside the table's box, to beyond the clamp."""
     states = source.base(count)
     states[:, 3:] *= 10.0 ** source.rng.uniform(0.0, 4.0, (count, 3))
     return states
 
 
-def _tie(source: _Source, count: int) -> npt.NDArray[Any]:
+def _tie(source: _Source, count: int) -> AnyArray:
     """At exactly the same distance from two or more nearest rows."""
     states = source.base(count)
     if len(source.ties):
@@ -152,7 +148,7 @@ def _tie(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
-def _half_code(source: _Source, count: int) -> npt.NDArray[Any]:
+def _half_code(source: _Source, count: int) -> AnyArray:
     """Velocities whose code is an integer and a half, exactly or by one unit in the last place.
 
     Most lie half a code inside a tie: rounded away from zero they tie, rounded otherwise they do not.
@@ -180,14 +176,14 @@ def _beside(values: Float32, direction: Float32) -> Float32:
     return np.nextafter(values, np.where(direction > 0, np.float32(np.inf), np.float32(-np.inf)))
 
 
-def _huge(source: _Source, count: int) -> npt.NDArray[Any]:
+def _huge(source: _Source, count: int) -> AnyArray:
     states = source.base(count)
     states[:, 3:] = np.sign(states[:, 3:]) * 10.0 ** source.rng.uniform(1.0, 38.5, (count, 3))
     states[:, :2] = source.rng.uniform(-1000.0, 1000.0, (count, 2))
     return states
 
 
-def _limit(source: _Source, count: int) -> npt.NDArray[Any]:
+def _limit(source: _Source, count: int) -> AnyArray:
     """At the limits of pose, and one unit in the last place inside and outside."""
     states = source.base(count).astype(np.float32)
     limit = np.float32(1000)
@@ -198,12 +194,12 @@ def _limit(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
-def _tiny(source: _Source, count: int) -> npt.NDArray[Any]:
+def _tiny(source: _Source, count: int) -> AnyArray:
     sign = source.rng.choice([-1.0, 1.0], (count, 6))
     return sign * 10.0 ** source.rng.uniform(-38.0, -6.0, (count, 6))
 
 
-def _subnormal(source: _Source, count: int) -> npt.NDArray[Any]:
+def _subnormal(source: _Source, count: int) -> AnyArray:
     """Subnormal numbers, zero and minus zero in every component."""
     bits = source.rng.integers(0, 1 << 23, (count, 6), dtype=np.uint32)
     bits[source.rng.random((count, 6)) < 0.3] = 0
@@ -211,7 +207,7 @@ def _subnormal(source: _Source, count: int) -> npt.NDArray[Any]:
     return bits.view(np.float32)
 
 
-def _not_finite(source: _Source, count: int) -> npt.NDArray[Any]:
+def _not_finite(source: _Source, count: int) -> AnyArray:
     states = source.base(count).astype(np.float32)
     odd = np.array([0x7FC00000, 0xFFC00001, 0x7F800001, 0x7F800000, 0xFF800000], dtype=np.uint32).view(
         np.float32
@@ -221,7 +217,7 @@ def _not_finite(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
-def _half_turn(source: _Source, count: int) -> npt.NDArray[Any]:
+def _half_turn(source: _Source, count: int) -> AnyArray:
     """Headings within some units in the last place of an odd number of half turns."""
     states = source.base(count).astype(np.float32)
     turns = np.where(source.rng.random(count) < 0.5, 0, source.rng.integers(-158, 158, count))
@@ -230,7 +226,7 @@ def _half_turn(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
-def _on_path(source: _Source, count: int) -> npt.NDArray[Any]:
+def _on_path(source: _Source, count: int) -> AnyArray:
     """On a path point or half way between two, heading along the tangent or against it."""
     states = source.base(count).astype(np.float32)
     index = source.rng.integers(0, source.path.shape[1], count)
@@ -241,7 +237,7 @@ def _on_path(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
-def _any_bits(source: _Source, count: int) -> npt.NDArray[Any]:
+def _any_bits(source: _Source, count: int) -> AnyArray:
     """Velocities of any bits at all; poses of any finite size up to the limits."""
     states = source.base(count).astype(np.float32)
     bits = source.rng.integers(0, 1 << 32, (count, 3), dtype=np.uint64).astype(np.uint32)
@@ -252,7 +248,7 @@ def _any_bits(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
-def _limb_uses(rng: np.random.Generator, count: int, beyond: npt.NDArray[np.bool_]) -> UInt16:
+def _limb_uses(rng: np.random.Generator, count: int, beyond: Bool) -> UInt16:
     """What a robot meets, with rested and full limbs; half of those marked go beyond and are refused."""
     use = (rng.random((count, LIMBS_MAX)) ** 2 * 32767).astype(np.uint16)
     edges = rng.choice(np.array([0, 1, 32766, 32767], dtype=np.uint16), (count, LIMBS_MAX))
@@ -264,7 +260,7 @@ def _limb_uses(rng: np.random.Generator, count: int, beyond: npt.NDArray[np.bool
     return use.astype(np.uint16)
 
 
-def _along(source: _Source, states: Float32, beyond: npt.NDArray[np.bool_]) -> Float32:
+def _along(source: _Source, states: Float32, beyond: Bool) -> Float32:
     """Mostly near the state, as in a run; anywhere, and at the ends; half of those marked are refused."""
     rng, last = source.rng, source.path.shape[1] - 1
     x, y = states[:, 0, None].astype(np.float64), states[:, 1, None].astype(np.float64)
@@ -281,7 +277,7 @@ def _along(source: _Source, states: Float32, beyond: npt.NDArray[np.bool_]) -> F
     return along
 
 
-_MAKERS: dict[str, Callable[[_Source, int], npt.NDArray[Any]]] = {
+_MAKERS: dict[str, Callable[[_Source, int], AnyArray]] = {
     "uniform": _uniform,
     "rest": _rest,
     "table_row": _table_row,
@@ -387,7 +383,7 @@ def compare(cases: Cases, places: Mapping[str, Place]) -> list[PairReport]:
     """
     if len(places) < 2:
         raise FrogkickError(f"{len(places)} place given, a comparison needs 2: add a place")
-    results: dict[str, npt.NDArray[Any]] = {}
+    results: dict[str, AnyArray] = {}
     for name, place in places.items():
         rows = place(cases.states, cases.depths, cases.limb_use, cases.along_points)
         if rows.dtype != PLAN_ROW or rows.shape != (len(cases.states),):
@@ -400,7 +396,7 @@ def compare(cases: Cases, places: Mapping[str, Place]) -> list[PairReport]:
     ]
 
 
-def _pair(cases: Cases, one: str, left: npt.NDArray[Any], two: str, right: npt.NDArray[Any]) -> PairReport:
+def _pair(cases: Cases, one: str, left: AnyArray, two: str, right: AnyArray) -> PairReport:
     fields: dict[str, int] = {}
     wrong = np.zeros(len(left), dtype=bool)
     for name in PLAN_ROW.names or ():
@@ -421,5 +417,5 @@ def _pair(cases: Cases, one: str, left: npt.NDArray[Any], two: str, right: npt.N
     return PairReport(one, two, len(left), int(wrong.sum()), fields, failure)
 
 
-def _bits(column: npt.NDArray[Any]) -> npt.NDArray[np.uint32]:
+def _bits(column: AnyArray) -> npt.NDArray[np.uint32]:
     return np.ascontiguousarray(column).view(np.uint32)

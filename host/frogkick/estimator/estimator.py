@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, UInt16
 from frogkick.estimator.track import Track, sine_cosine, wrapped
 from frogkick.tables.image import Tables
 
@@ -45,8 +45,8 @@ class Estimate:
             as zero.
     """
 
-    state: npt.NDArray[np.float32]
-    limb_use: npt.NDArray[np.uint16]
+    state: Float32
+    limb_use: UInt16
     fix_sequence: int
     fixes: int
 
@@ -57,7 +57,7 @@ class Estimates(Protocol):
     @property
     def newest_capture_us(self) -> int | None: ...
 
-    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int: ...
+    def add(self, capture_us: int, pose_world: Float32, sequence: int) -> int: ...
 
     def act(self, at_us: int, action: int) -> None: ...
 
@@ -67,7 +67,7 @@ class Estimates(Protocol):
 @dataclass(frozen=True)
 class _Fix:
     capture_us: int
-    pose: npt.NDArray[np.float32]
+    pose: Float32
     sequence: int
 
     @property
@@ -106,7 +106,7 @@ class Estimator:
         """Capture time of the newest accepted fix; None while no state is known."""
         return self._newest.capture_us if self._newest is not None and self._fixes else None
 
-    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
+    def add(self, capture_us: int, pose_world: Float32, sequence: int) -> int:
         """Add a fix.
 
         Args:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import enum
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32
 from frogkick.planner import route
 from frogkick.planner.plan import Cost, PathLike, Plan, PlanConfig, path_rows
 from frogkick.tables.image import Tables
-
-Float32 = npt.NDArray[np.float32]
 
 IDLE_DECISIONS_MAX = 40
 IDLE_LACKING_MAX = 20

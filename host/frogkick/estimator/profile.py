@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Float32 = npt.NDArray[np.float32]
+from frogkick.core.arrays import Float32
 
 _F = np.float32
 _GLIDE_PART = _F(0.41666667)

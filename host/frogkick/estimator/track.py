@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Int64
 from frogkick.core.compiled import kept, stamp_of
 from frogkick.estimator.profile import Profile, profile_after, profile_within, weighted
 from frogkick.estimator.wear import HELD, OFF, ON, WearFilter
@@ -31,8 +31,6 @@ from frogkick.planner import floats
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
-
-Float32 = npt.NDArray[np.float32]
 
 INSTANTS = 4
 COASTS_MAX = 8
@@ -94,7 +92,7 @@ class _Instant:
     """An instant, and the period that starts there."""
 
     time_us: int
-    limb_use: npt.NDArray[np.int64]
+    limb_use: Int64
     action: int = -1
     coasted: bool = False
     fixes: int = 0
@@ -199,7 +197,7 @@ class Track:
                 self._move_newest(at_us)
         self._open(action, coasted=False)
 
-    def limb_use(self, at_us: int) -> npt.NDArray[np.int64]:
+    def limb_use(self, at_us: int) -> Int64:
         """Return (8,) the recent use of each limb, for an action that starts at a time."""
         return self.instants[-2 if self._is_hasty(at_us) else -1].limb_use
 
@@ -335,8 +333,8 @@ class Track:
         self._predicted_variance = grown[:, size, size].copy()
 
     def _ask_table(
-        self, velocity: Float32, limb_use: npt.NDArray[np.int64], action: int, period_s: np.float32
-    ) -> tuple[Float32, Float32, npt.NDArray[np.int64]]:
+        self, velocity: Float32, limb_use: Int64, action: int, period_s: np.float32
+    ) -> tuple[Float32, Float32, Int64]:
         """Return the motion in the body frame, and the velocity and the limb use a period later."""
         if action >= len(self.tables.actions):
             return velocity * period_s, velocity, limb_use

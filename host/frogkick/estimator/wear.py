@@ -14,14 +14,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Float64
 from frogkick.core.errors import InputError
 from frogkick.planner import floats
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LOST_MAX
-
-Float32 = npt.NDArray[np.float32]
 
 OFF, ON, HELD = 0, 1, 2
 """Whether a robot estimates wear, as in the link's ``frames.toml``; HELD keeps the estimate as it is."""
@@ -102,7 +100,7 @@ class WearFilter:
         self.codes = np.array(codes, dtype=np.int64)
 
     @property
-    def lost(self) -> npt.NDArray[np.float64]:
+    def lost(self) -> Float64:
         """(l,) share of its contribution that each limb has lost, 0 to 1."""
         return np.asarray(self.codes / LOST_MAX)
 

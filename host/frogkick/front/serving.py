@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file, require_writable, write_bytes
 from frogkick.effects import World, read_world
@@ -226,7 +226,7 @@ class _Sight:
     mirrored: bool = False
     _taken: int = 0
 
-    def picture(self) -> npt.NDArray[np.uint8]:
+    def picture(self) -> UInt8:
         """Render what the camera sees now; several viewers may ask at once."""
         self._taken += 1
         pose = self.robot.pose_world

@@ -30,9 +30,9 @@ from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import ALLOCATING, BARE, INNER, kept, stamp_of
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner import route
@@ -47,8 +47,6 @@ from frogkick.planner.lookup import (
     velocity_code,
 )
 from frogkick.planner.paper_cost import nearest_point, pose_cost
-
-Array = npt.NDArray[Any]
 
 OK = 0
 ERROR_NOT_FINITE = -2
@@ -88,20 +86,20 @@ class _Search(NamedTuple):
     """What a search works on; a row of each array for a level."""
 
     table: TableArrays
-    path: Array
+    path: AnyArray
     settings: Any
-    knots: Array
+    knots: AnyArray
     step: np.float32
     held: bool  # the robot is far off, and its projection is the last one
-    poses: Array
-    dynamics: Array
-    rows: Array
-    knot: Array
-    place: Array  # arc length along the route, from its first knot
-    sums: Array
-    best: Array  # (2,) int64: first action (-1: none), transitions so far
-    best_cost: Array  # (1,) float32
-    motion: Array  # (3,) float32, of the action under way
+    poses: AnyArray
+    dynamics: AnyArray
+    rows: AnyArray
+    knot: AnyArray
+    place: AnyArray  # arc length along the route, from its first knot
+    sums: AnyArray
+    best: AnyArray  # (2,) int64: first action (-1: none), transitions so far
+    best_cost: AnyArray  # (1,) float32
+    motion: AnyArray  # (3,) float32, of the action under way
 
 
 @njit(**BARE)
@@ -122,7 +120,7 @@ def check_settings(settings: Any, depth: int) -> int:
 
 
 @njit(**INNER)
-def check(path: Array, settings: Any, depth: int, state: Array, limb_use: Array, along: Any) -> int:
+def check(path: AnyArray, settings: Any, depth: int, state: AnyArray, limb_use: AnyArray, along: Any) -> int:
     """Return OK or the code of the first thing that is wrong, in the C's order."""
     status: int = check_settings(settings, depth)
     if status != OK:
@@ -150,7 +148,7 @@ def check(path: Array, settings: Any, depth: int, state: Array, limb_use: Array,
 
 
 @njit(**INNER)
-def step(pose: Array, motion: Array, after: Array) -> None:
+def step(pose: AnyArray, motion: AnyArray, after: AnyArray) -> None:
     """Write the pose after an action: (x, y, wrapped heading) float32; motion (3,) float32, body frame."""
     sine, cosine = sincos(pose[2])
     after[0] = pose[0] + (cosine * motion[0] - sine * motion[1])
@@ -180,7 +178,7 @@ def motion_cost(search: _Search, level: int, depth: int) -> Any:
 
 
 @njit(**INNER)
-def end_cost(search: _Search, level: int, motion: Array) -> Any:
+def end_cost(search: _Search, level: int, motion: AnyArray) -> Any:
     """Return the terminal cost: of a branch that ends at a level, reached by a motion (3,)."""
     settings = search.settings
     if settings.cost == COST_PAPER:
@@ -243,7 +241,7 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
 
 
 @njit(**ALLOCATING)
-def search_branch(search: _Search, depth: int, first: int, order: Array) -> bool:
+def search_branch(search: _Search, depth: int, first: int, order: AnyArray) -> bool:
     """Search the sequences of ``depth`` actions that begin with one; True where the limit stops it.
 
     ``order`` (actions,) is that of the further actions.
@@ -268,7 +266,7 @@ def search_branch(search: _Search, depth: int, first: int, order: Array) -> bool
 
 
 @njit(**ALLOCATING)
-def root_order(root_cost: Array, best: int) -> Array:
+def root_order(root_cost: AnyArray, best: int) -> AnyArray:
     """Return the order in which deeper levels try actions: ``best``, then by cost at level 1."""
     keys = root_cost.copy()
     keys[best] = -_F1
@@ -344,14 +342,14 @@ def search_levels(search: _Search, depth: int, moves: bool) -> Any:
 @njit(**ALLOCATING)
 def plan_one(
     table: TableArrays,
-    path: Array,
+    path: AnyArray,
     settings: Any,
     depth: int,
-    state: Array,
-    limb_use: Array,
+    state: AnyArray,
+    limb_use: AnyArray,
     along: Any,
-    numbers: Array,
-    values: Array,
+    numbers: AnyArray,
+    values: AnyArray,
 ) -> None:
     """Plan from one state (6,) float32 whose limbs were used (LIMBS_MAX,) uint16, ``along`` the path.
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import BARE, INNER, kept
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, VELOCITY_CODE_MAX
-
-Array = npt.NDArray[Any]
 
 _F0 = np.float32(0)
 _HALF = np.float32(0.5)
@@ -30,23 +28,23 @@ class TableArrays(NamedTuple):
     int64 is what worn limbs add to the codes of every look-up.
     """
 
-    states: Array
-    transitions: Array
-    derivatives: Array
-    history: Array
-    shift: Array
-    fires: Array
-    velocity_scale: Array
-    motion_scale: Array
-    motion_limit: Array
-    correction_shift: Array
-    offset_limit: Array
-    least: Array
-    most: Array
-    use: Array
-    stroke_max_m: Array
-    turn_max_rad: Array
-    period_s: Array
+    states: AnyArray
+    transitions: AnyArray
+    derivatives: AnyArray
+    history: AnyArray
+    shift: AnyArray
+    fires: AnyArray
+    velocity_scale: AnyArray
+    motion_scale: AnyArray
+    motion_limit: AnyArray
+    correction_shift: AnyArray
+    offset_limit: AnyArray
+    least: AnyArray
+    most: AnyArray
+    use: AnyArray
+    stroke_max_m: AnyArray
+    turn_max_rad: AnyArray
+    period_s: AnyArray
 
 
 DYNAMICS = 3 + LIMBS_MAX
@@ -89,7 +87,7 @@ def velocity_code(velocity: np.float32, codes_per_velocity: np.float32) -> Any:
 
 
 @njit(**INNER)
-def nearest_state(states: Array, code_0: Any, code_1: Any, code_2: Any) -> int:
+def nearest_state(states: AnyArray, code_0: Any, code_1: Any, code_2: Any) -> int:
     """Return the row nearest to a velocity in codes, the lowest on ties; 64-bit sums."""
     best = np.int64(2) ** 62
     row = 0
@@ -111,7 +109,7 @@ def action_count(table: TableArrays) -> int:
 
 
 @kept(**BARE)
-def find_row(table: TableArrays, dynamics: Array) -> int:
+def find_row(table: TableArrays, dynamics: AnyArray) -> int:
     """The row that a state with these dynamics is looked up in: the nearest to its velocity, clamped."""
     code_0 = min(max(dynamics[0], table.least[0]), table.most[0])
     code_1 = min(max(dynamics[1], table.least[1]), table.most[1])
@@ -121,7 +119,7 @@ def find_row(table: TableArrays, dynamics: Array) -> int:
 
 
 @njit(**INNER)
-def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: int, limit: int) -> Any:
+def _value(table: TableArrays, row: int, dynamics: AnyArray, action: int, value: int, limit: int) -> Any:
     """One of the six values of a transition in codes: the row's, corrected (affine), worn, clamped."""
     code = np.int64(table.transitions[row, action, value])
     if table.derivatives.shape[0] > 0:
@@ -144,7 +142,7 @@ def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: in
 
 
 @kept(**BARE)
-def motion_of(table: TableArrays, row: int, dynamics: Array, action: int, motion: Array) -> None:
+def motion_of(table: TableArrays, row: int, dynamics: AnyArray, action: int, motion: AnyArray) -> None:
     """Write the motion (3,) float32 m, m, rad over one period, in the body frame at its start."""
     for axis in range(3):
         code = _value(table, row, dynamics, action, axis, table.motion_limit[axis])
@@ -152,7 +150,7 @@ def motion_of(table: TableArrays, row: int, dynamics: Array, action: int, motion
 
 
 @kept(**BARE)
-def limb_use_after(table: TableArrays, use: Array, action: int, after: Array) -> None:
+def limb_use_after(table: TableArrays, use: AnyArray, action: int, after: AnyArray) -> None:
     """Write how much each limb was used lately, (LIMBS_MAX,), after an action: 0 for limbs not there."""
     after[:] = 0
     for limb in range(table.fires.shape[1]):
@@ -161,7 +159,7 @@ def limb_use_after(table: TableArrays, use: Array, action: int, after: Array) ->
 
 
 @kept(**BARE)
-def dynamics_after(table: TableArrays, row: int, dynamics: Array, action: int, after: Array) -> None:
+def dynamics_after(table: TableArrays, row: int, dynamics: AnyArray, action: int, after: AnyArray) -> None:
     """Write the dynamics (DYNAMICS,) at the period's end."""
     for axis in range(3):
         after[axis] = _value(table, row, dynamics, action, 3 + axis, np.int64(VELOCITY_CODE_MAX))

@@ -8,19 +8,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import INNER
 from frogkick.planner.floats import wrap_angle
-
-Array = npt.NDArray[Any]
 
 _F1 = np.float32(1)
 
 
 @njit(**INNER)
-def nearest_point(x_m: Array, y_m: Array, x: np.float32, y: np.float32) -> tuple[int, np.float32]:
+def nearest_point(x_m: AnyArray, y_m: AnyArray, x: np.float32, y: np.float32) -> tuple[int, np.float32]:
     """Return the index of the nearest path point, the lowest on ties, and the squared distance, m^2."""
     index = 0
     best = np.float32(np.inf)
@@ -36,7 +34,7 @@ def nearest_point(x_m: Array, y_m: Array, x: np.float32, y: np.float32) -> tuple
 
 @njit(**INNER)
 def pose_cost(
-    path: Array, distance_w: Any, angle_w: Any, progress_w: Any, x: Any, y: Any, heading: Any
+    path: AnyArray, distance_w: Any, angle_w: Any, progress_w: Any, x: Any, y: Any, heading: Any
 ) -> Any:
     """Return the cost of a pose: path (3, n) float32 x, y, tangent; the rest float32."""
     index, distance2 = nearest_point(path[0], path[1], x, y)

@@ -9,15 +9,13 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Float32, UInt16
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.weights import WEIGHTS, Weights
 from frogkick.planner import kernel
 from frogkick.planner.lookup import arrays_of
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
-
-Float32 = npt.NDArray[np.float32]
-UInt16 = npt.NDArray[np.uint16]
 
 PLAN_ROW = np.dtype(
     [
@@ -210,7 +208,7 @@ def plan_batch(
     depths: npt.ArrayLike | None = None,
     limb_use: npt.ArrayLike | None = None,
     along_points: npt.ArrayLike = 0.0,
-) -> npt.NDArray[Any]:
+) -> AnyArray:
     """Plan from many states.
 
     Args:

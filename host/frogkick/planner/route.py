@@ -28,13 +28,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import BARE, INNER
 from frogkick.planner.floats import sincos, wrap_angle
-
-Array = npt.NDArray[Any]
 
 STEPS_PER_STROKE = 8
 """Steps between knots in the table's longest stroke."""
@@ -65,7 +63,7 @@ def stroke_scale(stroke_max_m: np.float32) -> Any:
 
 
 @njit(**INNER)
-def may_rest(settings: Any, state: Array, step: np.float32, period: np.float32) -> bool:
+def may_rest(settings: Any, state: AnyArray, step: np.float32, period: np.float32) -> bool:
     """Whether a robot in a state (6,) may rest: not if it is slow, and not if it nears a wall.
 
     Slow is fewer than SLOW_STEPS in a period. Near is WALL_PERIODS by its speed: it would glide into the wall
@@ -88,7 +86,7 @@ def may_rest(settings: Any, state: Array, step: np.float32, period: np.float32) 
 
 
 @njit(**INNER)
-def segment_length(path: Array, segment: int) -> Any:
+def segment_length(path: AnyArray, segment: int) -> Any:
     """Return the length of the piece from a point to the next, m."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
@@ -96,7 +94,7 @@ def segment_length(path: Array, segment: int) -> Any:
 
 
 @njit(**INNER)
-def distance2_to(path: Array, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
+def distance2_to(path: AnyArray, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
     """Return the squared distance of a position from a place on a segment."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
@@ -106,7 +104,7 @@ def distance2_to(path: Array, segment: int, part: np.float32, x: np.float32, y: 
 
 
 @njit(**INNER)
-def project_on_segment(path: Array, segment: int, x: np.float32, y: np.float32) -> Any:
+def project_on_segment(path: AnyArray, segment: int, x: np.float32, y: np.float32) -> Any:
     """Project a position onto a segment: how far along it the nearest place lies, 0 to 1."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
@@ -120,7 +118,7 @@ def project_on_segment(path: Array, segment: int, x: np.float32, y: np.float32) 
 
 
 @njit(**BARE)
-def project(path: Array, stroke_max: np.float32, begin: np.float32, x: np.float32, y: np.float32) -> Any:
+def project(path: AnyArray, stroke_max: np.float32, begin: np.float32, x: np.float32, y: np.float32) -> Any:
     """Project a position onto the path, near its last projection.
 
     Args:
@@ -173,7 +171,7 @@ def knot_count(depth: int, look_ahead: np.float32, step: np.float32) -> int:
 
 
 @njit(**INNER)
-def lay_out(path: Array, segment: int, part: np.float32, step: np.float32, knots: Array) -> None:
+def lay_out(path: AnyArray, segment: int, part: np.float32, step: np.float32, knots: AnyArray) -> None:
     """Write the knots (n, 4) float32: x, y, and the unit vector along the route.
 
     Knot BEHIND stands at the projection. A segment of no length keeps the direction of the one before it.
@@ -207,7 +205,7 @@ def lay_out(path: Array, segment: int, part: np.float32, step: np.float32, knots
 
 
 @njit(**INNER)
-def knot_distance2(knots: Array, knot: int, x: np.float32, y: np.float32) -> Any:
+def knot_distance2(knots: AnyArray, knot: int, x: np.float32, y: np.float32) -> Any:
     """Return the squared distance of a position from a knot, m^2."""
     dx = x - knots[knot, 0]
     dy = y - knots[knot, 1]
@@ -215,7 +213,7 @@ def knot_distance2(knots: Array, knot: int, x: np.float32, y: np.float32) -> Any
 
 
 @njit(**INNER)
-def nearest_knot(knots: Array, low: int, high: int, x: np.float32, y: np.float32) -> Any:
+def nearest_knot(knots: AnyArray, low: int, high: int, x: np.float32, y: np.float32) -> Any:
     """Find the knot of low, low + 3, ... high that is nearest, or one of its neighbours if that is nearer."""
     knot = low
     for candidate in range(low, high + 1, 3):
@@ -233,7 +231,7 @@ def nearest_knot(knots: Array, low: int, high: int, x: np.float32, y: np.float32
 
 @njit(**INNER)
 def project_on_knots(
-    knots: Array, step: np.float32, low: int, high: int, x: np.float32, y: np.float32
+    knots: AnyArray, step: np.float32, low: int, high: int, x: np.float32, y: np.float32
 ) -> Any:
     """Project a position onto knots low to high: (knot, arc length from knot 0 m, squared distance m^2)."""
     knot = nearest_knot(knots, low, high, x, y)
@@ -259,7 +257,14 @@ def beyond(at: np.float32, least: np.float32, most: np.float32) -> Any:
 
 @njit(**INNER)
 def glide_cost(
-    settings: Any, knots: Array, step: Any, knot: int, place: Any, here: Array, before: Array, turn: Any
+    settings: Any,
+    knots: AnyArray,
+    step: Any,
+    knot: int,
+    place: Any,
+    here: AnyArray,
+    before: AnyArray,
+    turn: Any,
 ) -> Any:
     """Return what it costs how far beside the route a branch's end glides to.
 
@@ -280,7 +285,7 @@ def glide_cost(
 
 
 @njit(**INNER)
-def wall_cost(settings: Any, here: Array, before: Array) -> Any:
+def wall_cost(settings: Any, here: AnyArray, before: AnyArray) -> Any:
     """Return what it costs to end beyond the walls, or to glide there from the last motion."""
     x = here[0] + settings.wall_glide * (here[0] - before[0])
     y = here[1] + settings.wall_glide * (here[1] - before[1])
@@ -295,10 +300,10 @@ def wall_cost(settings: Any, here: Array, before: Array) -> Any:
 
 @njit(**INNER)
 def end_angle(
-    knots: Array,
+    knots: AnyArray,
     step: np.float32,
     place: np.float32,
-    position: Array,
+    position: AnyArray,
     course_x: Any,
     course_y: Any,
     look_ahead: Any,

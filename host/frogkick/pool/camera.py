@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix, wrap_angle
 
@@ -59,7 +59,7 @@ def measure(
     camera: Camera,
     sequence: int,
     capture_s: float,
-    pose_world: npt.NDArray[np.float64],
+    pose_world: Float64,
     rng: np.random.Generator,
 ) -> Fix:
     """The fix of a true pose.

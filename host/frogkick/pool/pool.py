@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import Fix
 from frogkick.der import Swimmer
 from frogkick.effects import Acting, World, changed_robot
@@ -27,8 +27,8 @@ class Truth:
     """
 
     time_s: list[float] = field(default_factory=list)
-    pose_world: list[npt.NDArray[np.float64]] = field(default_factory=list)
-    velocity_body: list[npt.NDArray[np.float64]] = field(default_factory=list)
+    pose_world: list[Float64] = field(default_factory=list)
+    velocity_body: list[Float64] = field(default_factory=list)
 
 
 class Pool:
@@ -81,7 +81,7 @@ class Pool:
     def _next_capture_s(self) -> float:
         return (self._captured + 1) / self.camera.rate_hz
 
-    def state(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def state(self) -> tuple[Float64, Float64]:
         """True pose (3,) in the world and velocity (3,) in the body frame, which no planner sees."""
         return self._swimmer.pose_world(), self._swimmer.velocity_body()
 

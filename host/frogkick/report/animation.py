@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
+from frogkick.core.arrays import Float64, Int64, UInt8
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import atomic_path
 from frogkick.core.poses import world_from_body
@@ -24,9 +24,6 @@ from frogkick.der import Rods, Swimmer, prepare
 from frogkick.report import style
 from frogkick.robot import Action, Robot, in_a_row, load_robot, parse_robot
 from frogkick.runs.runlog import RunLog
-
-FloatArray = npt.NDArray[np.float64]
-Pixels = npt.NDArray[np.uint8]
 
 ANIMATIONS = (".gif", ".mp4")
 RATE_HZ = 20  # of the pictures; a GIF counts in hundredths of a second, so this one is exact
@@ -59,8 +56,8 @@ class Swim:
     duration_s: float
     velocity_body: tuple[float, float, float]
     title: str
-    track: tuple[FloatArray, FloatArray] | None = None
-    path_m: FloatArray | None = None
+    track: tuple[Float64, Float64] | None = None
+    path_m: Float64 | None = None
 
 
 @dataclass(frozen=True)
@@ -75,10 +72,10 @@ class Film:
         speed: simulated seconds for each second shown; 1 is real time.
     """
 
-    time_s: FloatArray
-    nodes_m: FloatArray
-    pose_world: FloatArray
-    heated: npt.NDArray[np.int64]
+    time_s: Float64
+    nodes_m: Float64
+    pose_world: Float64
+    heated: Int64
     speed: float
 
 
@@ -175,7 +172,7 @@ def film(swim: Swim) -> Film:
     return Film(np.asarray(time_s), np.array(nodes), np.array(poses), np.array(heated), spacing_s * RATE_HZ)
 
 
-def _pose_at(track: tuple[FloatArray, FloatArray], now_s: float) -> FloatArray:
+def _pose_at(track: tuple[Float64, Float64], now_s: float) -> Float64:
     return np.array([np.interp(now_s, track[0], track[1][:, axis]) for axis in range(3)])
 
 
@@ -260,7 +257,7 @@ def _stage(swim: Swim, shot: Film) -> Figure:
     return figure
 
 
-def _pictures(swim: Swim, shot: Film, progress: Callable[[int, int], None]) -> Iterator[Pixels]:
+def _pictures(swim: Swim, shot: Film, progress: Callable[[int, int], None]) -> Iterator[UInt8]:
     """Yield (height, width, 3) pictures. Axes are drawn once, what moves is drawn over them."""
     figure = _stage(swim, shot)
     canvas: Any = FigureCanvasAgg(figure)  # matplotlib gives no types for what follows
@@ -310,7 +307,7 @@ def _palette() -> Image.Image:
     return palette
 
 
-def _write_gif(target: Path, pictures: Iterator[Pixels]) -> None:
+def _write_gif(target: Path, pictures: Iterator[UInt8]) -> None:
     images = [Image.fromarray(picture) for picture in pictures]
     palette = _palette()
     coded = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
@@ -319,7 +316,7 @@ def _write_gif(target: Path, pictures: Iterator[Pixels]) -> None:
     )
 
 
-def _write_mp4(target: Path, pictures: Iterator[Pixels]) -> None:
+def _write_mp4(target: Path, pictures: Iterator[UInt8]) -> None:
     cv2 = _opencv()
     writer = None
     try:

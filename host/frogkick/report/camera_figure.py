@@ -5,16 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from frogkick.core.arrays import Float32, Float64
 from frogkick.core.errors import InputError
 from frogkick.report import style
 
 
-def write_error_map(
-    pool_m: tuple[float, float], places: npt.NDArray[np.float64], title: str, target: Path
-) -> None:
+def write_error_map(pool_m: tuple[float, float], places: Float64, title: str, target: Path) -> None:
     """Draw an arrow at each place, long enough to be visible; colour and key give its length in mm.
 
     Args:
@@ -70,7 +68,7 @@ INCH_MM = 25.4
 DPI = 600
 
 
-def tag_figure(cells: npt.NDArray[np.float32], margin: int, size_m: float, name: str) -> Figure:
+def tag_figure(cells: Float32, margin: int, size_m: float, name: str) -> Figure:
     """Draw a tag; a page of the figure's size shows it at true scale.
 
     Args:
@@ -117,7 +115,7 @@ def tag_figure(cells: npt.NDArray[np.float32], margin: int, size_m: float, name:
 
 
 def write_tag_page(
-    cells: npt.NDArray[np.float32], margin: int, size_m: float, name: str, target: Path
+    cells: Float32, margin: int, size_m: float, name: str, target: Path
 ) -> tuple[float, float]:
     """Write that page and return its width and height in m.
 

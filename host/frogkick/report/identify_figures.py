@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import PredictionError
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.penalty import EFFECT_PENALTY
@@ -16,25 +16,23 @@ from frogkick.identification.search import CandidateScore
 from frogkick.report import style
 from frogkick.report.identify_residuals import Residuals, by_limb
 
-FloatArray = npt.NDArray[np.float64]
-
 NOMINAL_LABEL, FOUND_LABEL, FLOOR_LABEL = "nominal model", "with identified effects", "noise floor"
 BOTH = (("nominal", style.NOMINAL, NOMINAL_LABEL, -0.19), ("found", style.PREDICTED, FOUND_LABEL, 0.19))
 TRIED_MOST = 10
 AXES = (("forward", "mm", 1e3), ("left", "mm", 1e3), ("heading", "deg", 180.0 / np.pi))
 
 
-def position_mm(residuals: FloatArray) -> FloatArray:
+def position_mm(residuals: Float64) -> Float64:
     """(n,) size of the position part of (n, 3) residuals."""
     return np.asarray(1e3 * np.hypot(residuals[:, 0], residuals[:, 1]))
 
 
-def heading_deg(residuals: FloatArray) -> FloatArray:
+def heading_deg(residuals: Float64) -> Float64:
     """(n,) size of the heading part of (n, 3) residuals."""
     return np.asarray(np.rad2deg(np.abs(residuals[:, 2])))
 
 
-Size = Callable[[FloatArray], FloatArray]
+Size = Callable[[Float64], Float64]
 
 
 def _sizes(floor: PredictionError) -> tuple[tuple[str, str, Size, float], ...]:

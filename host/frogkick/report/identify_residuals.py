@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.identification.fit import Fitted
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.steps import whitener
 from frogkick.identification.verdict import prediction_errors
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,23 +28,23 @@ class Residuals:
         measured, nominal, found: (n, 3) pose at its end: from fixes, and predicted without and with effects.
     """
 
-    run: IntArray
-    period: IntArray
-    time_s: FloatArray
-    action: IntArray
-    limbs: IntArray
-    pose: FloatArray
-    measured: FloatArray
-    nominal: FloatArray
-    found: FloatArray
+    run: Int64
+    period: Int64
+    time_s: Float64
+    action: Int64
+    limbs: Int64
+    pose: Float64
+    measured: Float64
+    nominal: Float64
+    found: Float64
 
-    def residual_world(self, which: str) -> FloatArray:
+    def residual_world(self, which: str) -> Float64:
         """(n, 3) measured minus predicted pose, of the model "nominal" or "found": m, m, rad."""
         gap = self.measured - getattr(self, which)
         gap[:, 2] = wrap_angle(gap[:, 2])
         return np.asarray(gap)
 
-    def residual_body(self, which: str) -> FloatArray:
+    def residual_body(self, which: str) -> Float64:
         """(n, 3) the same as forward, left (m) and heading (rad), by the heading at the start."""
         return body_from_world(self.pose[:, 2], self.residual_world(which))
 
@@ -66,7 +63,7 @@ def residuals_of(outcome: Outcome, train: bool = False) -> Residuals:
     both = [known[k] & known[k + len(swims)] for k in range(len(swims))]
     rows = [np.flatnonzero(each) for each in both]
 
-    def joined(parts: list[FloatArray]) -> FloatArray:
+    def joined(parts: list[Float64]) -> Float64:
         return np.concatenate([part[kept] for part, kept in zip(parts, rows, strict=True)])
 
     limbs = []
@@ -89,7 +86,7 @@ def residuals_of(outcome: Outcome, train: bool = False) -> Residuals:
     )
 
 
-def by_limb(residuals: FloatArray, limbs: IntArray) -> tuple[FloatArray, FloatArray]:
+def by_limb(residuals: Float64, limbs: Int64) -> tuple[Float64, Float64]:
     """Return the residual of each limb's strokes, and its standard error, by least squares.
 
     Args:
@@ -132,7 +129,7 @@ def explained_shares(outcome: Outcome) -> list[tuple[str, float]]:
     return sorted(best.items(), key=lambda row: -row[1])
 
 
-def _share(fitted: Fitted, change: FloatArray, jacobian: FloatArray) -> float:
+def _share(fitted: Fitted, change: Float64, jacobian: Float64) -> float:
     white = whitener(fitted.residuals)
     flat = (change @ white).ravel()
     columns = np.einsum("nip,ij->njp", jacobian, white).reshape(flat.size, -1)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.poses import body_from_world, world_from_body, wrap_angle
 from frogkick.effects import Body, History, Law, Stroke
 from frogkick.identification.outcome import Outcome
@@ -17,8 +17,6 @@ from frogkick.identification.segments import Segments
 from frogkick.report import style
 from frogkick.report.identify_residuals import Residuals, by_limb, residuals_of
 from frogkick.report.law_words import depends_on
-
-FloatArray = npt.NDArray[np.float64]
 
 CELLS, FINE = 15, 60
 """Arrows and cells of a field along the pool's longer side."""
@@ -54,16 +52,16 @@ class Periods:
         raw, explained: (n, 3) residuals of the nominal model, and their change by the effects; body frame.
     """
 
-    at_s: FloatArray
-    pose: FloatArray
-    velocity: FloatArray
-    limbs: npt.NDArray[np.int64]
-    raw: FloatArray
-    explained: FloatArray
+    at_s: Float64
+    pose: Float64
+    velocity: Float64
+    limbs: Int64
+    raw: Float64
+    explained: Float64
 
-    def seen(self, which: str, pool: bool) -> FloatArray:
+    def seen(self, which: str, pool: bool) -> Float64:
         """(n, 3) residuals along the pool's axes or the body's, and of the heading."""
-        residuals: FloatArray = getattr(self, which)
+        residuals: Float64 = getattr(self, which)
         return world_from_body(self.pose[:, 2], residuals) if pool else residuals
 
 
@@ -128,12 +126,12 @@ def _telling(periods: Periods, pool: bool) -> list[int]:
     return sorted(np.argsort(-share)[:2].tolist())
 
 
-def _area(periods: Periods) -> tuple[FloatArray, FloatArray]:
+def _area(periods: Periods) -> tuple[Float64, Float64]:
     places = periods.pose[:, :2]
     return places.min(axis=0) - BESIDE_M, places.max(axis=0) + BESIDE_M
 
 
-def _grid(periods: Periods, count: int) -> tuple[FloatArray, FloatArray]:
+def _grid(periods: Periods, count: int) -> tuple[Float64, Float64]:
     low, high = _area(periods)
     step = float((high - low).max()) / count
     x, y = np.meshgrid(*(np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)))
@@ -190,7 +188,7 @@ def _arrows(axes: Axes, periods: Periods) -> None:
     axes.set_title(f"Residuals a period ahead, magnified {factor:g} times")
 
 
-def _along(law: Law, periods: Periods) -> tuple[str, FloatArray]:
+def _along(law: Law, periods: Periods) -> tuple[str, Float64]:
     """The variable that a law's curve is drawn over, and its values in the periods."""
     main = depends_on(law)
     if main == "heading":
@@ -209,7 +207,7 @@ _VARIABLES = {
 }  # fmt: skip
 
 
-def _curve(axes: Axes, law: Law, name: str, values: FloatArray) -> None:
+def _curve(axes: Axes, law: Law, name: str, values: Float64) -> None:
     """The law over one variable, with all others at 0."""
     low, high = (-np.pi, np.pi) if name == "heading_rad" else (float(values.min()), float(values.max()))
     low = 0.0 if name in ("time_s", "strokes") else low
@@ -240,7 +238,7 @@ def _curve(axes: Axes, law: Law, name: str, values: FloatArray) -> None:
 _RESIDUALS = (("forward", "mm", 1e3), ("left", "mm", 1e3), ("heading", "deg", 57.29578))
 
 
-def _dots(axes: Axes, periods: Periods, axis: int, name: str, values: FloatArray, pool: bool) -> None:
+def _dots(axes: Axes, periods: Periods, axis: int, name: str, values: Float64, pool: bool) -> None:
     """Residuals of each period over the law's variable."""
     factor, label = _VARIABLES["time_s" if name == "strokes" else name]
     what, unit, scale = _RESIDUALS[axis]

@@ -8,19 +8,17 @@ from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from frogkick.core.arrays import Float64
 from frogkick.der import prepare
 from frogkick.der.mesh import Mesh
 from frogkick.report import style
 from frogkick.robot import Robot, in_a_row, limb_points
 from frogkick.robot.profile import Profile
 from frogkick.robot.profile_files import Stroke
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def robot_figure(robot: Robot) -> Figure:
@@ -47,7 +45,7 @@ def robot_figure(robot: Robot) -> Figure:
     return figure
 
 
-def actions_figure(robot: Robot, ends: FloatArray) -> Figure:
+def actions_figure(robot: Robot, ends: Float64) -> Figure:
     """Draw each action: the limbs that it heats, and how far it moves and turns the robot.
 
     Args:
@@ -109,12 +107,12 @@ def write_robot_figure(robot: Robot, target: Path) -> None:
     style.write_picture(robot_figure(robot), target)
 
 
-def _mesh_origin(robot: Robot, mesh: Mesh) -> FloatArray:
+def _mesh_origin(robot: Robot, mesh: Mesh) -> Float64:
     """Return the offset from the mesh's nodes to the robot file's coordinates, m."""
     return np.asarray(np.array(robot.frame.corners_m[0]) - mesh.rest_m[0])
 
 
-def _line(axes: Axes, points_mm: FloatArray, form: str, **options: object) -> None:
+def _line(axes: Axes, points_mm: Float64, form: str, **options: object) -> None:
     axes.plot(points_mm[:, 1], points_mm[:, 0], form, **options)  # type: ignore[arg-type]
 
 
@@ -126,7 +124,7 @@ def _away(robot: Robot, corner: int) -> tuple[float, float]:
     return -y / length, x / length
 
 
-def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
+def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
     ring = nodes_mm[[*range(mesh.frame_nodes), 0]]
     _line(axes, ring, "-", color=style.DESIRED, linewidth=2.0)
     _line(axes, ring, ".", color="black", markersize=3)
@@ -148,7 +146,7 @@ def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
         )
 
 
-def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
+def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
     fall_per_m = robot.actuation().drop_per_m
     node = mesh.frame_nodes
     corner_node = np.concatenate([[0], np.cumsum(robot.frame.segments)[:-1]])
@@ -180,7 +178,7 @@ def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
         )
 
 
-def _centre_and_forward(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
+def _centre_and_forward(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
     centre = 1e3 * _mesh_origin(robot, mesh)
     axes.plot([centre[1]], [centre[0]], "x", color="black", markersize=9, markeredgewidth=2)
     length = 0.3 * float(np.ptp(nodes_mm[: mesh.frame_nodes, 0]))

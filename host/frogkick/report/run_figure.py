@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
 from frogkick.runs.holding import HOLD_LIMIT_M, spans_of
@@ -18,8 +18,6 @@ from frogkick.runs.record import distances_m, learned_limbs
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import residual, track_of, true_poses_at
 from frogkick.tables.layout import LOST_MAX
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def run_figure(run: RunLog, title: str) -> Figure:
@@ -62,8 +60,8 @@ class _Seen:
         colour: colour of the source of the poses.
     """
 
-    time_s: FloatArray
-    poses: FloatArray
+    time_s: Float64
+    poses: Float64
     colour: str
 
     @classmethod
@@ -71,12 +69,12 @@ class _Seen:
         time_s, poses, by = track_of(run)
         return cls(time_s, poses, style.TRUE if by == "truth" else style.MEASURED)
 
-    def at(self, time_s: FloatArray) -> FloatArray:
+    def at(self, time_s: Float64) -> Float64:
         """(n, 2) positions at times."""
         return np.column_stack([np.interp(time_s, self.time_s, self.poses[:, k]) for k in range(2)])
 
 
-def _beside(points: FloatArray) -> FloatArray:
+def _beside(points: Float64) -> Float64:
     """(n, 2) offsets in points of the screen, to the left of the track, so that letters do not cover it."""
     if len(points) < 2:
         return np.full((len(points), 2), 7.0)
@@ -148,9 +146,7 @@ def _actions(axes: Axes, run: RunLog, seen: _Seen) -> None:
     axes.set_title("Actions chosen")
 
 
-def _errors(
-    axes: Axes, time_s: FloatArray, position_mm: FloatArray, heading_deg: FloatArray, colour: str
-) -> None:
+def _errors(axes: Axes, time_s: Float64, position_mm: Float64, heading_deg: Float64, colour: str) -> None:
     axes.plot(time_s, position_mm, "o-", color=colour, markersize=3, linewidth=0.8, label="position (mm)")
     axes.plot(
         time_s, heading_deg, "^:", color=colour, markersize=3, linewidth=0.8, label="heading (deg)", alpha=0.7

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Float32, Int32, Int64, UInt16
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
 from frogkick.pool.chip import ChipError, CostModel, VirtualChip
 from frogkick.pool.chip.layout import Layouts
@@ -37,16 +37,16 @@ class TimedStates:
         beyond: (k,) float32: multiple of the table's range that the velocity is from.
     """
 
-    states: npt.NDArray[np.float32]
-    limb_use: npt.NDArray[np.uint16]
-    along_points: npt.NDArray[np.float32]
-    beyond: npt.NDArray[np.float32]
+    states: Float32
+    limb_use: UInt16
+    along_points: Float32
+    beyond: Float32
 
     def part(self, at: int, count: int) -> TimedStates:
         """``count`` states from an index on."""
         return self.chosen(np.arange(at, min(at + count, len(self.states))))
 
-    def chosen(self, places: npt.NDArray[np.int64]) -> TimedStates:
+    def chosen(self, places: Int64) -> TimedStates:
         """The states at some indices."""
         return TimedStates(*(getattr(self, entry.name)[places] for entry in fields(self)))
 
@@ -104,7 +104,7 @@ class ChipPlanner:
     def wear(self, lost: Sequence[int]) -> None:
         """Plan for limbs that have lost these shares, 0 to 32767. Without wear curves nothing changes."""
         kind = np.dtype(self._types["fk_tables_t"])
-        tables: npt.NDArray[Any] = np.frombuffer(self.chip.ram_read(self._tables, kind.itemsize), kind).copy()
+        tables: AnyArray = np.frombuffer(self.chip.ram_read(self._tables, kind.itemsize), kind).copy()
         if tables["wear_knots"][0] == 0:
             return
         shares, shift = self._free, self._free + 2 * LIMBS_MAX
@@ -116,12 +116,12 @@ class ChipPlanner:
 
     def plan(
         self,
-        states: npt.NDArray[np.float32],
-        depths: npt.NDArray[np.int32],
-        limb_use: npt.NDArray[np.uint16] | None = None,
-        along_points: npt.NDArray[np.float32] | None = None,
+        states: Float32,
+        depths: Int32,
+        limb_use: UInt16 | None = None,
+        along_points: Float32 | None = None,
         progress: Callable[[int], None] = lambda _done: None,
-    ) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64]]:
+    ) -> tuple[AnyArray, Int64]:
         """Plan from many states.
 
         Args:
@@ -146,12 +146,12 @@ class ChipPlanner:
 
     def decide(
         self,
-        states: npt.NDArray[np.float32],
-        depths: npt.NDArray[np.int32],
-        limb_use: npt.NDArray[np.uint16] | None = None,
-        along_points: npt.NDArray[np.float32] | None = None,
+        states: Float32,
+        depths: Int32,
+        limb_use: UInt16 | None = None,
+        along_points: Float32 | None = None,
         progress: Callable[[int], None] = lambda _done: None,
-    ) -> npt.NDArray[Any]:
+    ) -> AnyArray:
         """Plan as ``plan`` does, with the same instructions, but without counting cycles: much faster."""
         if self._uncounted is None:
             self._uncounted = UncountedCalls(self._elf, self.chip)
@@ -167,7 +167,7 @@ class ChipPlanner:
         plan: Callable[..., int],
         given: tuple[Any, Any, Any, Any],
         progress: Callable[[int], None],
-    ) -> npt.NDArray[Any]:
+    ) -> AnyArray:
         states, depths, limb_use, along_points = given
         asked = np.zeros(len(states), dtype=self._types["fk_state_t"])
         for member, column in zip(_POSE_MEMBERS, states.T, strict=True):
@@ -211,7 +211,7 @@ def states_for_timing(tables: Tables, path: PathLike, count: int, rng: np.random
     return TimedStates(states.astype(np.float32), limb_use, along.astype(np.float32), far.astype(np.float32))
 
 
-def _rows(status: npt.NDArray[np.int32], plans: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _rows(status: Int32, plans: AnyArray) -> AnyArray:
     """Convert ``fk_plan_t`` to ``PLAN_ROW``."""
     rows = np.zeros(len(plans), dtype=PLAN_ROW)
     for name in PLAN_ROW.names or ():

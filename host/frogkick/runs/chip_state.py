@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32
 from frogkick.core.errors import FrogkickError
 from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.estimator import MARKS, Estimator, _Fix
@@ -21,8 +21,6 @@ from frogkick.estimator.wear import HELD, OFF
 from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
-
-Float32 = npt.NDArray[np.float32]
 
 
 class SnapshotError(FrogkickError):

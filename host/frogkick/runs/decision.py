@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32
 from frogkick.core.errors import CheckError
 from frogkick.estimator.estimator import LOST_US, Estimates, Estimator
 from frogkick.estimator.follow import End, Follow
@@ -20,8 +20,6 @@ from frogkick.paths import Path
 from frogkick.planner.plan import PathLike, PlanConfig, PlanError, plan
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
-
-Float32 = npt.NDArray[np.float32]
 
 STATE_FIELDS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
 LIMB_USE_FIELDS = tuple(f"limb_use_{limb}" for limb in range(LIMBS_MAX))

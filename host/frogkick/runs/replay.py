@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
 from frogkick.link.layout import Value, link_layout
@@ -220,7 +220,7 @@ def replay_onboard(
     session.set_parameters({"PERIOD_US": schedule.period_us})
     session.send_path(path)
     waiting = list(schedule.fixes)
-    poses: dict[int, npt.NDArray[np.float32]] = {}
+    poses: dict[int, Float32] = {}
     sender, changes = PathSender(session), list(schedule.then)
     events: list[RobotEvent] = []
     decisions: list[Decision] = []

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Int64 = npt.NDArray[np.int64]
+from frogkick.core.arrays import Int16, Int64
 
 ONE = 16384
 """Denominator of a state's codes in a prediction."""
@@ -51,7 +50,7 @@ def take_residuals(section: bytes, rows: int, row_bytes: int, bits: Int64) -> In
     return found
 
 
-def products(codes: npt.NDArray[np.int16], up: Int64) -> Int64:
+def products(codes: Int16, up: Int64) -> Int64:
     """(n, 10) factors of a prediction's coefficients, for (n, 3) state codes."""
     u = codes.astype(np.int64) << up
     first, second = np.triu_indices(3)

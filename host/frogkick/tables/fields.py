@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Int16
 from frogkick.core.errors import InputError
 from frogkick.tables import layout
 
@@ -89,7 +89,7 @@ def action_rows_of(section: bytes, limbs: int) -> tuple[ActionRow, ...]:
     return tuple(rows)
 
 
-def require_codes(what: str, codes: npt.NDArray[np.int16], limit: int | Sequence[int]) -> None:
+def require_codes(what: str, codes: Int16, limit: int | Sequence[int]) -> None:
     """Raise TableError for codes beyond +-limit, one for all or one for each entry of the last axis."""
     bad = np.abs(codes.astype(np.int32)) > np.asarray(limit)
     if bad.any():

@@ -6,12 +6,10 @@ import zlib
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Int64
 from frogkick.tables import layout
 from frogkick.tables.fields import AGAIN, require
-
-Int64 = npt.NDArray[np.int64]
 
 
 class Header(NamedTuple):

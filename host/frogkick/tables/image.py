@@ -6,11 +6,11 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Float32, Int16, Int32, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.tables import coding, layout
@@ -28,11 +28,6 @@ from frogkick.tables.fields import (
 from frogkick.tables.header import Columns, Header, columns_of, identified, laid_out, require_numbers
 
 __all__ = ["ActionRow", "TableError", "Tables", "open_image", "read_image"]
-
-Float32 = npt.NDArray[np.float32]
-Int16 = npt.NDArray[np.int16]
-Int32 = npt.NDArray[np.int32]
-Int64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +276,7 @@ def _predicted(head: Header, model: Int64, codes: Int16, residuals: Int64) -> In
     return np.clip(values, -limit, limit)
 
 
-def _frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _frozen(array: AnyArray) -> AnyArray:
     array = np.ascontiguousarray(array)
     array.setflags(write=False)
     return array

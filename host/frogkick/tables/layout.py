@@ -81,7 +81,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from frogkick.core.arrays import Int16, Int64
 
 MAGIC = b"FKTB"
 FORMAT_VERSION, FORMAT_PLAIN = 3, 2
@@ -132,9 +133,6 @@ COLUMN = np.dtype([("at", "<u2"), ("bits", "u1"), ("zero", "u1")])
 
 HEADER = struct.Struct("<4sHHII16s32sIIHBBIII3f3fIIIIHBB3H3H6B6H3BBHH2xI")
 assert HEADER.size == HEADER_BYTES
-
-Int16 = npt.NDArray[np.int16]
-Int64 = npt.NDArray[np.int64]
 
 
 class Sections(NamedTuple):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Float64, Int16, Int64
 from frogkick.tables import layout
 from frogkick.tables.fields import require
 from frogkick.tables.prediction import best_prediction
@@ -20,10 +20,6 @@ from frogkick.tables.sealing import (
     sealed,
     velocity_codes,
 )
-
-Float64 = npt.NDArray[np.float64]
-Int16 = npt.NDArray[np.int16]
-Int64 = npt.NDArray[np.int64]
 
 _NONE = np.zeros(3, dtype=np.int64)
 _DERIVATIVE_MAX = 32000.0  # the least and any residual of 7 bits stay within 16 bits
@@ -253,7 +249,7 @@ def _reach(base: Float64, slopes: Float64, history: Float64, row: Int64, offsets
     return np.asarray(largest * (1.0 + _MARGIN) + used.max(axis=0), dtype=np.float64)
 
 
-def _grid_in_box(codes: Int16, box: npt.NDArray[Any]) -> tuple[Int64, Int64]:
+def _grid_in_box(codes: Int16, box: AnyArray) -> tuple[Int64, Int64]:
     """Velocities (g, 3) on a grid over a box of codes, and the row of the nearest state to each (g,)."""
     states = codes.astype(np.int64)
     low, high = box.min(axis=0).astype(np.int64), box.max(axis=0).astype(np.int64)

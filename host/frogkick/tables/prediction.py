@@ -11,12 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64, Int16, Int64
 from frogkick.tables import coding, layout
-
-Float64 = npt.NDArray[np.float64]
-Int64 = npt.NDArray[np.int64]
 
 _RIDGE = 1e-11
 """Ridge penalty relative to the diagonal, for blocks with fewer rows than coefficients."""
@@ -48,7 +45,7 @@ class Prediction:
         return 2 * self.coefficients.size + len(self.residuals) * ((bits + 7) // 8)
 
 
-def best_prediction(codes: npt.NDArray[np.int16], wanted: Float64, unit: Int64) -> Prediction:
+def best_prediction(codes: Int16, wanted: Float64, unit: Int64) -> Prediction:
     """The prediction with the number of blocks that needs the fewest bytes.
 
     Args:

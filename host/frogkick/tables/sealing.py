@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Float64, Int16, Int64
 from frogkick.tables import coding, layout
 from frogkick.tables.fields import (
     TableError,
@@ -20,10 +20,6 @@ from frogkick.tables.fields import (
     robot_id_of,
 )
 
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
-Int16 = npt.NDArray[np.int16]
-Int64 = npt.NDArray[np.int64]
 ActionRows = Sequence[tuple[str, int, int]]
 
 VELOCITY_COLUMNS = ("vx_mps", "vy_mps", "omega_rad_s")

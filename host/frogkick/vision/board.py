@@ -8,13 +8,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64, UInt8
 from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Lens
 
-Array = npt.NDArray[np.float64]
-Grey = npt.NDArray[np.uint8]
 PICTURES_MIN = 5
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -53,7 +51,7 @@ class Board:
         markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, 0.75 * self.square_m, markers)
 
-    def find(self, image: Grey) -> tuple[Array, Array] | None:
+    def find(self, image: UInt8) -> tuple[Float64, Float64] | None:
         """Find the board's inner corners.
 
         Returns:
@@ -85,7 +83,7 @@ class Board:
         return home.astype(np.float64), np.asarray(corners).reshape(-1, 2).astype(np.float64)
 
 
-def read_pictures(folder: Path | str) -> list[tuple[str, Grey]]:
+def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
     """Read a folder's pictures, by name, as grey levels.
 
     Raises:
@@ -100,7 +98,7 @@ def read_pictures(folder: Path | str) -> list[tuple[str, Grey]]:
     return [(file.name, read_picture(file)) for file in names]
 
 
-def read_picture(path: Path | str) -> Grey:
+def read_picture(path: Path | str) -> UInt8:
     """Read a picture as grey levels.
 
     Raises:
@@ -112,7 +110,7 @@ def read_picture(path: Path | str) -> Grey:
     return np.asarray(image, dtype=np.uint8)
 
 
-def calibrate_lens(board: Board, pictures: Sequence[tuple[str, Grey]]) -> tuple[Lens, float, int]:
+def calibrate_lens(board: Board, pictures: Sequence[tuple[str, UInt8]]) -> tuple[Lens, float, int]:
     """Calibrate the lens from pictures of a board in many orientations.
 
     Args:

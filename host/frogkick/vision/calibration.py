@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.vision.plane import apply
 from frogkick.vision.tags import check_tag
 
 WATER_INDEX = 1.333
-Array = npt.NDArray[np.float64]
 
 
 def refraction_offset_m(height_m: float) -> float:
@@ -37,8 +36,8 @@ class Lens:
         distortion: (5,) k1, k2, p1, p2, k3 of OpenCV's model.
     """
 
-    matrix_px: Array
-    distortion: Array
+    matrix_px: Float64
+    distortion: Float64
 
 
 @dataclass(frozen=True)
@@ -107,10 +106,10 @@ class Calibration:
 
     image_px: tuple[int, int]
     pool_m: tuple[float, float]
-    homography: Array
+    homography: Float64
     plane_height_m: float = 0.0
     plane_refraction_offset_m: float = 0.0
-    camera_m: Array | None = None
+    camera_m: Float64 | None = None
     lens: Lens | None = None
     tag: Tag = Tag()
     method: str = "corners"
@@ -143,14 +142,14 @@ class Calibration:
         """Height at which the camera sees the reference plane."""
         return self.plane_height_m + self.plane_refraction_offset_m
 
-    def _shift(self, xy_m: Array, from_m: float, to_m: float) -> Array:
+    def _shift(self, xy_m: Float64, from_m: float, to_m: float) -> Float64:
         """Move points along their lines of sight from one apparent height to another, m."""
         if self.camera_m is None or from_m == to_m:
             return xy_m
         below, height = self.camera_m[:2], self.camera_m[2]
         return np.asarray(below + (xy_m - below) * (height - to_m) / (height - from_m))
 
-    def pixels(self, xy_m: Array, height_m: float | None = None) -> Array:
+    def pixels(self, xy_m: Float64, height_m: float | None = None) -> Float64:
         """(n, 2) undistorted pixels of points of the pool.
 
         Args:
@@ -160,14 +159,14 @@ class Calibration:
         height = self.tag.apparent_height_m if height_m is None else height_m
         return apply(self.homography, self._shift(xy_m, height, self.plane_apparent_m))
 
-    def pool(self, undistorted_px: Array, height_m: float | None = None) -> Array:
+    def pool(self, undistorted_px: Float64, height_m: float | None = None) -> Float64:
         """The inverse of ``pixels``: (n, 2) m in the pool's frame."""
         height = self.tag.apparent_height_m if height_m is None else height_m
         inverse = np.asarray(np.linalg.inv(self.homography), dtype=np.float64)
         on_plane = apply(inverse, undistorted_px)
         return self._shift(on_plane, self.plane_apparent_m, height)
 
-    def undistort(self, image_px: Array) -> Array:
+    def undistort(self, image_px: Float64) -> Float64:
         """(n, 2) undistorted pixels of pixels of a picture; the same ones if the lens is unknown."""
         if self.lens is None:
             return image_px
@@ -177,7 +176,7 @@ class Calibration:
             cv2.undistortPoints(points, matrix, distortion, P=matrix).reshape(-1, 2), dtype=np.float64
         )
 
-    def distort(self, undistorted_px: Array) -> Array:
+    def distort(self, undistorted_px: Float64) -> Float64:
         """The inverse of ``undistort``."""
         if self.lens is None:
             return undistorted_px
@@ -186,7 +185,7 @@ class Calibration:
         return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
 
 
-def camera_pose(homography: Array, matrix_px: Array, plane_m: float) -> tuple[Array, Array]:
+def camera_pose(homography: Float64, matrix_px: Float64, plane_m: float) -> tuple[Float64, Float64]:
     """Pose of the camera from the homography of a plane and the camera matrix.
 
     Returns:
@@ -206,8 +205,8 @@ def camera_pose(homography: Array, matrix_px: Array, plane_m: float) -> tuple[Ar
 
 
 def lens_from_height(
-    homography: Array, image_px: tuple[int, int], camera_height_m: float, plane_m: float
-) -> Array:
+    homography: Float64, image_px: tuple[int, int], camera_height_m: float, plane_m: float
+) -> Float64:
     """The camera matrix with square centred pixels that gives the camera a measured height.
 
     Args:
@@ -221,7 +220,7 @@ def lens_from_height(
     """
     width, height = image_px
 
-    def matrix(focal: float) -> Array:
+    def matrix(focal: float) -> Float64:
         return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
 
     low, high = 0.2 * width, 20.0 * width
@@ -241,12 +240,12 @@ def lens_from_height(
 
 
 def camera_of(
-    homography: Array,
+    homography: Float64,
     image_px: tuple[int, int],
     plane_m: float,
     lens: Lens | None,
     camera_height_m: float | None,
-) -> tuple[Array, Array] | None:
+) -> tuple[Float64, Float64] | None:
     """Camera matrix and position, by the lens or by the camera's height over the water; None without both."""
     if lens is not None:
         matrix = lens.matrix_px

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file, write_text
 from frogkick.vision.calibration import Calibration, Lens, Tag
@@ -32,11 +32,11 @@ def _number(value: float) -> str:
     return repr(float(value))
 
 
-def _row(values: npt.NDArray[np.float64]) -> str:
+def _row(values: Float64) -> str:
     return "[" + ", ".join(_number(value) for value in values) + "]"
 
 
-def _matrix(values: npt.NDArray[np.float64]) -> str:
+def _matrix(values: Float64) -> str:
     return "[\n" + "".join(f"    {_row(row)},\n" for row in values) + "]"
 
 
@@ -119,7 +119,7 @@ def read_calibration(path: Path | str) -> Calibration:
         raise InputError(f"calibration {str(path)!r} cannot be used: {error}") from error
 
 
-def _array(table: dict[str, Any], key: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+def _array(table: dict[str, Any], key: str, shape: tuple[int, ...]) -> Float64:
     values = np.array(table[key], dtype=np.float64)
     if values.shape != shape or not np.isfinite(values).all():
         raise ValueError(f"{key} is not {' x '.join(map(str, shape))} finite numbers")

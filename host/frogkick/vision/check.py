@@ -9,8 +9,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError
 from frogkick.core.files import csv_numbers, existing_file
 from frogkick.core.poses import wrap_angle
@@ -18,8 +18,6 @@ from frogkick.vision.calibration import Calibration, camera_pose, lens_from_heig
 from frogkick.vision.pose import tag_place
 from frogkick.vision.scene import Conditions, Scene, Viewpoint
 from frogkick.vision.tracker import Tracker
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
 
 
 def check_frames(
-    calibration: Calibration, frames: Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]
+    calibration: Calibration, frames: Iterable[tuple[UInt8, float, float, float]]
 ) -> list[Place]:
     """Find the tag in frames with a known pose; each search covers the complete frame.
 
@@ -90,7 +88,7 @@ def check_frames(
     return places
 
 
-def known_places(path: Path | str) -> Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]:
+def known_places(path: Path | str) -> Iterable[tuple[UInt8, float, float, float]]:
     """Pictures of the tag at known places, from a CSV with columns image, x_m, y_m and perhaps heading_deg.
 
     Raises:
@@ -137,7 +135,7 @@ def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
 
 def rendered(
     calibration: Calibration, conditions: Conditions, columns: int, rows: int, rng: np.random.Generator
-) -> Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]:
+) -> Iterable[tuple[UInt8, float, float, float]]:
     """Pictures of the tag on a grid over the pool, a tag's width from its walls, at random headings.
 
     Args:

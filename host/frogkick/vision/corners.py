@@ -7,20 +7,19 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.vision.calibration import Calibration, Lens, Tag, camera_of, refraction_offset_m
 from frogkick.vision.plane import from_four
 
-Array = npt.NDArray[np.float64]
 SIDES_MOST = 1.25
 """Largest ratio of the apparent scales of the pool's sides; corners marked by hand are within."""
 ORDER = "(0, 0), (length, 0), (length, width), (0, width)"
 
 
-def read_corners(path: Path | str) -> Array:
+def read_corners(path: Path | str) -> Float64:
     """Read four corners: TOML ``corners_px = [[x, y], ...]`` or CSV with columns ``x_px,y_px``.
 
     Returns:
@@ -54,7 +53,7 @@ def read_corners(path: Path | str) -> Array:
 
 
 def calibrate_corners(
-    corners_px: Array,
+    corners_px: Float64,
     pool_m: tuple[float, float],
     image_px: tuple[int, int],
     tag: Tag,
@@ -124,7 +123,7 @@ def calibrate_corners(
     )
 
 
-def _require_sides(homography: Array, matrix: Array) -> None:
+def _require_sides(homography: Float64, matrix: Float64) -> None:
     """Raise InputError if the scales of length and width differ too much, as with swapped sides."""
     along, across = np.linalg.norm(np.linalg.solve(matrix, homography)[:, :2], axis=0)
     stretch = float(along / across)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from frogkick.core.arrays import Float64
 
 
-def apply(homography: Array, points: Array) -> Array:
+def apply(homography: Float64, points: Float64) -> Float64:
     """Map (n, 2) points by a (3, 3) homography."""
     mapped = points @ homography[:, :2].T + homography[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def from_four(source: Array, target: Array) -> Array:
+def from_four(source: Float64, target: Float64) -> Float64:
     """The homography that takes four points (4, 2) exactly to four others.
 
     Raises:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError
-from frogkick.vision.board import Board, Grey
+from frogkick.vision.board import Board
 from frogkick.vision.calibration import Calibration, Lens, Tag, camera_of, refraction_offset_m
 from frogkick.vision.plane import apply
 
 
 def calibrate_plane(
     board: Board,
-    image: Grey,
+    image: UInt8,
     board_at_m: tuple[float, float],
     pool_m: tuple[float, float],
     tag: Tag,

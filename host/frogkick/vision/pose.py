@@ -13,12 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import rotation, wrap_angle
 from frogkick.vision.calibration import Calibration
 
-Array = npt.NDArray[np.float64]
 FLOOR_PX = 0.02
 """Smallest standard deviation of a corner, by lens, print and pixels."""
 
@@ -40,14 +39,14 @@ class Pose:
     x_m: float
     y_m: float
     heading_rad: float
-    covariance: Array
+    covariance: Float64
     capture_s: float
     size_m: float
     misfit_px: float
 
 
 def solve_pose(
-    calibration: Calibration, corners_px: Array, covariance_px2: Array, capture_s: float
+    calibration: Calibration, corners_px: Float64, covariance_px2: Float64, capture_s: float
 ) -> Pose | None:
     """The pose with the least weighted residuals of the corners.
 
@@ -115,8 +114,8 @@ def solve_pose(
 
 
 def _with_slopes(
-    calibration: Calibration, square: Array, flat: Array, seen_px: Array, weight: Array
-) -> tuple[Array, Array] | None:
+    calibration: Calibration, square: Float64, flat: Float64, seen_px: Float64, weight: Float64
+) -> tuple[Float64, Float64] | None:
     """(4,) state and (3, 3) covariance with two unknown slopes of the tag; None if the fit diverges.
 
     Without the camera's position the slopes are 0. Args: square (4, 2) printed corners, flat (4,) state of
@@ -144,7 +143,7 @@ def _with_slopes(
     return state[:4], np.asarray(covariance, dtype=np.float64)
 
 
-def _corners(calibration: Calibration, square: Array, state: Array) -> Array:
+def _corners(calibration: Calibration, square: Float64, state: Float64) -> Float64:
     """(8,) undistorted pixels of the tag's corners at x, y, heading, size of the tag, and slopes if any."""
     turned = state[3] * square @ rotation(state[2]).T
     places = state[:2] + turned
@@ -156,7 +155,7 @@ def _corners(calibration: Calibration, square: Array, state: Array) -> Array:
     return calibration.pixels(places).ravel()
 
 
-def tag_place(calibration: Calibration, x_m: float, y_m: float, heading_rad: float) -> Array:
+def tag_place(calibration: Calibration, x_m: float, y_m: float, heading_rad: float) -> Float64:
     """(3,) centre and heading of the tag of a robot at a pose."""
     offset = rotation(heading_rad) @ np.array(calibration.tag.offset_body_m)
     return np.array([x_m + offset[0], y_m + offset[1], heading_rad + calibration.tag.mount_heading_rad])

@@ -12,14 +12,12 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Float64, UInt8
 from frogkick.core.errors import InputError
 from frogkick.vision.tags import tag_cells, tag_margin
 
-Array = npt.NDArray[np.float64]
-Grey = npt.NDArray[np.uint8]
-Thing = tuple[npt.NDArray[np.float32], float, float, float, float]
+Thing = tuple[Float32, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -35,24 +33,24 @@ class Viewpoint:
     """
 
     image_px: tuple[int, int]
-    matrix_px: Array
-    rotation: Array
-    place_m: Array
-    distortion: Array
+    matrix_px: Float64
+    rotation: Float64
+    place_m: Float64
+    distortion: Float64
 
     @property
     def px_per_m(self) -> float:
         """Pixels per metre straight below the camera."""
         return float(self.matrix_px[0, 0] / self.place_m[2])
 
-    def pixels(self, points_m: Array) -> Array:
+    def pixels(self, points_m: Float64) -> Float64:
         """(n, 2) pixels, lens included, of (n, 3) points of the pool's frame."""
         turn, _ = cv2.Rodrigues(self.rotation)
         shift = -self.rotation @ self.place_m
         seen, _ = cv2.projectPoints(points_m, turn, shift, self.matrix_px, self.distortion)
         return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
 
-    def rays(self, pixels: Array) -> Array:
+    def rays(self, pixels: Float64) -> Float64:
         """(n, 3) directions in the pool's frame of (n, 2) pixels."""
         flat = pixels
         if self.distortion.any():
@@ -155,13 +153,13 @@ class Scene:
     tag_height_m: float = 0.012
     conditions: Conditions = field(default_factory=Conditions)
 
-    def corners_px(self) -> Array:
+    def corners_px(self) -> Float64:
         """(4, 2) pixels of the pool's corners: origin, along x, opposite, along y."""
         length, width = self.pool_m
         return self.view.pixels(np.array([[0, 0, 0], [length, 0, 0], [length, width, 0], [0, width, 0.0]]))
 
     @cached_property
-    def still(self) -> npt.NDArray[np.float32]:
+    def still(self) -> Float32:
         """The pool without waves, light, noise: tiles, walls, a floor beyond."""
         width, height = self.view.image_px
         cols, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -181,7 +179,7 @@ class Scene:
         pose: tuple[float, float, float] | None,
         rng: np.random.Generator,
         extra: Sequence[Thing] = (),
-    ) -> Grey:
+    ) -> UInt8:
         """Render a frame.
 
         Args:
@@ -224,14 +222,14 @@ class Scene:
         wide = len(cells)
         return (cells, *pose, size_m * (wide - 2) / (wide - 2 * tag_margin(self.family)))
 
-    def _surface(self, rng: np.random.Generator) -> npt.NDArray[np.float32]:
+    def _surface(self, rng: np.random.Generator) -> Float32:
         """A random surface of unit deviation over the picture, with the length of the waves."""
         width, height = self.view.image_px
         long_px = max(4.0, self.conditions.wave_length_m * self.view.px_per_m / 3)
         small = rng.standard_normal((int(height / long_px) + 3, int(width / long_px) + 3), dtype=np.float32)
         return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 
-    def _print(self, level: npt.NDArray[np.float32], thing: Thing, rng: np.random.Generator) -> None:
+    def _print(self, level: Float32, thing: Thing, rng: np.random.Generator) -> None:
         """Draw a printed square with its white edge; each pixel is the mean of 5 x 5 rays."""
         cells, x, y, heading, size = thing
         c = self.conditions
@@ -277,14 +275,12 @@ class Scene:
         region[:] = region * (1 - share) + drawn
 
 
-def _dot(rows: Array, axis: Array) -> Array:
+def _dot(rows: Float64, axis: Float64) -> Float64:
     """rows @ axis, without the threads of a matrix product."""
     return np.asarray(rows[:, 0] * axis[0] + rows[:, 1] * axis[1] + rows[:, 2] * axis[2])
 
 
-def _glare(
-    level: npt.NDArray[np.float32], x_px: float, y_px: float, strength: float, rng: np.random.Generator
-) -> None:
+def _glare(level: Float32, x_px: float, y_px: float, strength: float, rng: np.random.Generator) -> None:
     """Add an ellipse of light that saturates in its middle."""
     height, width = level.shape
     long, short = rng.uniform(8, 30), rng.uniform(3, 10)

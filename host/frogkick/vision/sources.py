@@ -13,8 +13,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
 from frogkick.vision.board import read_pictures
@@ -25,7 +25,6 @@ SCHEMES = ("http://", "https://", "rtsp://")
 """How the address of a network camera begins."""
 STREAM_OPEN_MS, STREAM_READ_MS = 5000, 1500
 """The longest that a network camera is waited for: to answer, and for a picture."""
-Image = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Frame:
         live: whether ``capture_s`` is on this machine's clock, so that a latency can be told.
     """
 
-    image: npt.NDArray[np.uint8]
+    image: UInt8
     capture_s: float
     sequence: int
     live: bool
@@ -71,7 +70,7 @@ def device_frames(index: int, image_px: tuple[int, int] | None = None) -> Iterat
 def live_frames(camera: cv2.VideoCapture, what: str) -> Iterator[Frame]:
     """Frames of an open camera; ``what`` names it in errors (see ``device_frames``)."""
 
-    def pictures() -> Iterator[tuple[Image | None, float]]:
+    def pictures() -> Iterator[tuple[UInt8 | None, float]]:
         while camera.grab():
             capture_s = time.monotonic()
             ok, image = camera.retrieve()
@@ -96,7 +95,7 @@ def stream_frames(url: str) -> Iterator[Frame]:
     """
     what = f"camera {url}"
     camera = _opened(url, what)
-    newest: deque[tuple[Image | None, float]] = deque(maxlen=1)
+    newest: deque[tuple[UInt8 | None, float]] = deque(maxlen=1)
     bell, stop = Bell(), threading.Event()
 
     def read() -> None:
@@ -107,7 +106,7 @@ def stream_frames(url: str) -> Iterator[Frame]:
             bell.ring()
         camera.release()
 
-    def pictures() -> Iterator[tuple[Image | None, float]]:
+    def pictures() -> Iterator[tuple[UInt8 | None, float]]:
         while True:
             bell.wait_for(lambda: newest)
             yield newest.pop()
@@ -121,7 +120,7 @@ def stream_frames(url: str) -> Iterator[Frame]:
         thread.join()  # an interpreter that ends would break it off inside the decoder
 
 
-def _live(pictures: Iterable[tuple[Image | None, float]], what: str, hint: str) -> Iterator[Frame]:
+def _live(pictures: Iterable[tuple[UInt8 | None, float]], what: str, hint: str) -> Iterator[Frame]:
     """Frames of pictures and their times; None if there are no more. Refuses a camera that freezes."""
     same, last = 0, None
     for sequence, (picture, capture_s) in enumerate(pictures):

@@ -10,8 +10,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Float64, UInt8
 from frogkick.core.extras import require
 
 NAME = "tagStandard41h12"
@@ -50,7 +50,7 @@ def count() -> int:
     return int(_family().ncodes)
 
 
-def cells(tag_id: int) -> npt.NDArray[np.float32]:
+def cells(tag_id: int) -> Float32:
     """A tag's (9, 9) cells from the library's codes: 0 black, 1 white, row 0 the picture's top.
 
     Raises:
@@ -69,7 +69,7 @@ def cells(tag_id: int) -> npt.NDArray[np.float32]:
     return picture
 
 
-def find_standard(image: npt.NDArray[np.uint8], tag_id: int) -> list[npt.NDArray[np.float64]]:
+def find_standard(image: UInt8, tag_id: int) -> list[Float64]:
     """Find the places where a tag is decoded.
 
     Args:

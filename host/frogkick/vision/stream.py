@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import UInt8
 from frogkick.core.local_server import QuietHandler, serving
 
 STREAM, PICTURE = "/camera.mjpg", "/picture.jpg"
@@ -20,9 +19,7 @@ _BOUNDARY = "picture"
 
 
 @contextmanager
-def streamed(
-    picture: Callable[[], npt.NDArray[np.uint8]], rate_hz: float, port: int = 0
-) -> Iterator[tuple[str, str]]:
+def streamed(picture: Callable[[], UInt8], rate_hz: float, port: int = 0) -> Iterator[tuple[str, str]]:
     """Serve pictures on this computer alone, as long as the context lives.
 
     Args:
@@ -73,6 +70,6 @@ def streamed(
             closing.set()
 
 
-def _jpeg(image: npt.NDArray[np.uint8]) -> bytes:
+def _jpeg(image: UInt8) -> bytes:
     _, made = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return made.tobytes()

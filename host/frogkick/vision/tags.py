@@ -11,8 +11,8 @@ from functools import cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Float64
 from frogkick.core.errors import InputError
 from frogkick.vision import standard
 
@@ -64,7 +64,7 @@ def tag_white(family: str) -> int:
     return 0 if family == STANDARD else 1
 
 
-def tag_cells(family: str, tag_id: int) -> npt.NDArray[np.float32]:
+def tag_cells(family: str, tag_id: int) -> Float32:
     """A tag's cells with ``tag_white`` cells of white around them.
 
     Returns:
@@ -83,6 +83,6 @@ def tag_cells(family: str, tag_id: int) -> npt.NDArray[np.float32]:
     return np.pad(np.pad(upright, 1), 1, constant_values=1).astype(np.float32)
 
 
-def picture_order(corners_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def picture_order(corners_px: Float64) -> Float64:
     """OpenCV's corners (4, 2) as top left, top right, bottom right, bottom left of the picture."""
     return np.roll(corners_px, OPENCV_HALF_TURN, axis=0)

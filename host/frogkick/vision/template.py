@@ -15,12 +15,11 @@ from functools import cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Bool, Float64, UInt8
 from frogkick.vision.plane import apply, from_four
 from frogkick.vision.tags import tag_cells, tag_margin, tag_white
 
-Array = npt.NDArray[np.float64]
 PER_CELL = 4
 """Samples across a cell."""
 BLURS = (0.45, 0.7, 1.0, 1.4, 2.0, 2.8)
@@ -48,12 +47,12 @@ class Template:
     """
 
     side: int
-    corners: Array
-    inside: npt.NDArray[np.bool_]
-    columns: Array
-    solve: Array
-    matched: Array
-    unit_covariance: Array
+    corners: Float64
+    inside: Bool
+    columns: Float64
+    solve: Float64
+    matched: Float64
+    unit_covariance: Float64
 
 
 @dataclass(frozen=True)
@@ -68,8 +67,8 @@ class Fit:
         worst_cell: largest part of a flip of a printed cell: 0 as printed, 1 wrong.
     """
 
-    corners_px: Array
-    covariance_px2: Array
+    corners_px: Float64
+    covariance_px2: Float64
     contrast: float
     residual: float
     worst_cell: float
@@ -119,7 +118,7 @@ def _template(family: str, tag_id: int, blur: float) -> Template:
     return Template(side, corners, inside.ravel(), columns, solve, matched, (solve @ solve.T)[:8, :8])
 
 
-def _blurred_cell(cells: int, row: int, col: int, blur: float) -> Array:
+def _blurred_cell(cells: int, row: int, col: int, blur: float) -> Float64:
     """(side^2,) one white cell on black."""
     one = np.zeros((cells, cells), np.float32)
     one[row, col] = 1.0
@@ -127,9 +126,7 @@ def _blurred_cell(cells: int, row: int, col: int, blur: float) -> Array:
     return np.asarray(cv2.GaussianBlur(fine, (0, 0), blur), dtype=np.float64).ravel()
 
 
-def likeliest_turn(
-    image: npt.NDArray[np.uint8], quad_px: Array, bank: tuple[Template, ...]
-) -> tuple[int, float]:
+def likeliest_turn(image: UInt8, quad_px: Float64, bank: tuple[Template, ...]) -> tuple[int, float]:
     """The orientation of a dark square with the best correlation with the tag.
 
     Args:
@@ -158,7 +155,7 @@ def likeliest_turn(
 
 
 def fit_template(
-    image: npt.NDArray[np.uint8], corners_px: Array, bank: tuple[Template, ...], steps: int = 10
+    image: UInt8, corners_px: Float64, bank: tuple[Template, ...], steps: int = 10
 ) -> Fit | None:
     """Fit a tag's picture to a frame.
 
@@ -224,13 +221,13 @@ def fit_template(
     return Fit(corners, covariance, float(contrast), noise / float(contrast), worst)
 
 
-def _residual(which: Template, values: Array) -> float:
+def _residual(which: Template, values: Float64) -> float:
     """Sum of squared residuals of a template in resampled grey levels."""
     left = values - which.columns @ (which.solve @ values)
     return float(left @ left)
 
 
-def _weighed(which: Template, values: Array, left: Array) -> tuple[Array, Array] | None:
+def _weighed(which: Template, values: Float64, left: Float64) -> tuple[Float64, Float64] | None:
     """A step in which outlying samples, as of glare, count less (Cauchy's weights).
 
     Returns:
@@ -249,7 +246,7 @@ def _weighed(which: Template, values: Array, left: Array) -> tuple[Array, Array]
     return found, np.asarray(inverse[:8, :8], dtype=np.float64)
 
 
-def _jacobian(homography: Array, points: Array) -> Array:
+def _jacobian(homography: Float64, points: Float64) -> Float64:
     """(8, 8) block diagonal: move of a corner in the frame for a move by a sample in the picture."""
     jacobian = np.zeros((8, 8))
     for k, point in enumerate(points):

@@ -9,12 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import AnyArray, Float64, Int64, UInt8
 from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.pose import Pose, solve_pose, tag_place
@@ -22,8 +22,6 @@ from frogkick.vision.standard import find_standard
 from frogkick.vision.tags import STANDARD, dictionary, picture_order
 from frogkick.vision.template import Fit, fit_template, likeliest_turn, templates
 
-Array = npt.NDArray[np.float64]
-Grey = npt.NDArray[np.uint8]
 Reason = Literal["found", "no tag", "doubled", "unclear", "not flat", "wrong size", "outside the pool"]
 
 RESIDUAL_MAX = 0.16
@@ -63,7 +61,7 @@ class Observation:
     reason: Reason
     capture_s: float
     latency_s: float = float("nan")
-    corners_px: Array | None = None
+    corners_px: Float64 | None = None
     residual: float = float("nan")
     windowed: bool = False
 
@@ -76,7 +74,7 @@ class Tracker:
         self._calibration = calibration
         self._margin_m = margin_m
         self._templates = templates(calibration.tag.family, calibration.tag.id)
-        self._last: Array | None = None
+        self._last: Float64 | None = None
         middle = np.array([[calibration.pool_m[0] / 2, calibration.pool_m[1] / 2]])
         half = calibration.tag.size_m / 2
         ends = calibration.pixels(middle + np.array([[-half, 0.0], [half, 0.0]]))
@@ -91,9 +89,7 @@ class Tracker:
         """Search the next frame completely."""
         self._last = None
 
-    def observe(
-        self, image: npt.NDArray[np.uint8], capture_s: float, clock_s: float | None = None
-    ) -> Observation:
+    def observe(self, image: UInt8, capture_s: float, clock_s: float | None = None) -> Observation:
         """Search a frame for the tag.
 
         Args:
@@ -119,7 +115,7 @@ class Tracker:
         latency = clock_s - capture_s + (time.perf_counter() - started)
         return replace(seen, latency_s=latency)
 
-    def _look(self, grey: Grey, capture_s: float) -> Observation:
+    def _look(self, grey: UInt8, capture_s: float) -> Observation:
         if self._last is not None:
             reach = 1.2 * max(np.ptp(self._last, axis=0))
             height, width = grey.shape
@@ -130,9 +126,7 @@ class Tracker:
                 return replace(near, windowed=True)
         return self._judge(grey, np.zeros(2, dtype=int), np.array(grey.shape[::-1]), capture_s)
 
-    def _judge(
-        self, grey: Grey, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64], capture_s: float
-    ) -> Observation:
+    def _judge(self, grey: UInt8, low: Int64, high: Int64, capture_s: float) -> Observation:
         """Search a part of the frame, fit the tag, and check the fit."""
         window = grey[low[1] : high[1], low[0] : high[0]]
         tag = self._calibration.tag
@@ -166,7 +160,7 @@ class Tracker:
             return refuse("outside the pool")
         return Observation(pose, "found", capture_s, float("nan"), fit.corners_px, fit.residual)
 
-    def _undecoded(self, grey: Grey, squares: list[Array], clear: list[Fit]) -> list[Fit]:
+    def _undecoded(self, grey: UInt8, squares: list[Float64], clear: list[Fit]) -> list[Fit]:
         """Tags among dark squares whose cells are too small or too blurred to be decoded."""
         found: list[Fit] = []
         for square in squares:
@@ -187,15 +181,15 @@ def _as_printed(fit: Fit) -> bool:
     return fit.residual <= RESIDUAL_MAX and fit.worst_cell <= CELL_MAX
 
 
-def _near(corners: Array, others: list[Array], side_px: float) -> bool:
+def _near(corners: Float64, others: list[Float64], side_px: float) -> bool:
     """Whether a square's centre is within half a tag of another's."""
     centre = corners.mean(axis=0)
     return any(np.linalg.norm(centre - other.mean(axis=0)) < 0.5 * side_px for other in others)
 
 
 def find_corners(
-    grey: Grey, tag_id: int, side_px: float, family: str = "tag36h11"
-) -> tuple[list[Array], list[Array]]:
+    grey: UInt8, tag_id: int, side_px: float, family: str = "tag36h11"
+) -> tuple[list[Float64], list[Float64]]:
     """Find the places where a tag is decoded, and dark squares of its size without a decoded tag.
 
     Args:
@@ -231,14 +225,14 @@ def find_corners(
     return _places(ours, scale, side_px), _places(squares, scale, side_px)
 
 
-def _quad(corners: npt.NDArray[Any]) -> Array:
+def _quad(corners: AnyArray) -> Float64:
     """OpenCV's corners in the printed picture's order."""
     return picture_order(np.asarray(corners).reshape(4, 2).astype(np.float64))
 
 
-def _places(quads: Sequence[Array], scale: int, side_px: float) -> list[Array]:
+def _places(quads: Sequence[Float64], scale: int, side_px: float) -> list[Float64]:
     """Corners in the enlarged picture as pixels of the frame, without repeated places."""
-    kept: list[Array] = []
+    kept: list[Float64] = []
     for quad in quads:
         # Pixel centres are whole numbers: those of the enlarged picture lie a quarter of a pixel off.
         place = (quad + 0.5) / scale - 0.5

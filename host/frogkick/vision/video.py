@@ -12,9 +12,8 @@ import pathlib
 from typing import Any
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError
 
 NOMINAL_HZ = 30.0
@@ -52,7 +51,7 @@ class Video:
         self._times: Any = None
         self._grown_bytes = 0
 
-    def write(self, image: npt.NDArray[np.uint8], capture_s: float) -> None:
+    def write(self, image: UInt8, capture_s: float) -> None:
         """Add a picture.
 
         Args:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path as Folder
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.effects import World, make_effects
@@ -36,8 +36,6 @@ from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import along_path
 from frogkick.tables.image import Tables, open_image
 
-FloatArray = npt.NDArray[np.float64]
-
 LINE_FIXES_MAX = 8
 LINE_WINDOW_S = 0.25
 
@@ -46,14 +44,14 @@ class _FromLastFixes(ABC):
     """An estimator that keeps the last fixes in order of capture, and ignores strokes."""
 
     def __init__(self) -> None:
-        self._fixes: list[tuple[int, FloatArray, int]] = []
+        self._fixes: list[tuple[int, Float64, int]] = []
 
     @property
     def newest_capture_us(self) -> int | None:
         """Capture time of the newest fix, None before the first."""
         return self._fixes[-1][0] if self._fixes else None
 
-    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
+    def add(self, capture_us: int, pose_world: Float32, sequence: int) -> int:
         """Add a fix that is newer than the newest."""
         if not (np.abs(pose_world) <= FIELD_M).all():
             return RANGE
@@ -77,10 +75,10 @@ class _FromLastFixes(ABC):
         return Estimate(np.array(state, dtype=np.float32), use, self._fixes[-1][2], len(self._fixes))
 
     @abstractmethod
-    def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
+    def _state(self, lead_s: float) -> tuple[Float64, Float64]:
         """Return pose and velocity (3,), world frame, a time after the newest fix."""
 
-    def _before_newest(self) -> tuple[FloatArray, FloatArray]:
+    def _before_newest(self) -> tuple[Float64, Float64]:
         """Return times (n,) s and poses (n, 3) relative to the newest fix, headings wrapped."""
         newest_us, newest, _ = self._fixes[-1]
         time_s = np.array([(time_us - newest_us) * 1e-6 for time_us, _, _ in self._fixes])
@@ -95,7 +93,7 @@ class DifferenceEstimator(_FromLastFixes):
     Source: Huang et al. 2022, section on closed-loop control; their logger's xdot, ydot, thetadot.
     """
 
-    def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
+    def _state(self, lead_s: float) -> tuple[Float64, Float64]:
         time_s, poses = self._before_newest()
         speed = -poses[-2] / -time_s[-2] if len(time_s) > 1 else np.zeros(3)
         return self._fixes[-1][1], speed
@@ -105,7 +103,7 @@ class LineEstimator(_FromLastFixes):
     """A straight line by least squares through the fixes of the last quarter second, to the requested
     time."""
 
-    def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
+    def _state(self, lead_s: float) -> tuple[Float64, Float64]:
         time_s, poses = self._before_newest()
         recent = time_s >= -LINE_WINDOW_S
         time_s, poses = time_s[recent], poses[recent]
@@ -190,7 +188,7 @@ class Swim:
     """A run: errors (n, 6) of each method at each decision, NaN without an estimate; and its mean
     distance."""
 
-    errors: dict[str, list[FloatArray]] = field(default_factory=dict)
+    errors: dict[str, list[Float64]] = field(default_factory=dict)
     distance_m: float = np.nan
 
 
@@ -264,12 +262,12 @@ def compare_estimators(
     }
 
 
-def _outcome(errors: list[list[FloatArray]], steered: Mapping[str, list[Swim]]) -> Outcome:
+def _outcome(errors: list[list[Float64]], steered: Mapping[str, list[Swim]]) -> Outcome:
     every = np.concatenate([np.array(rows[_FIRST:]).reshape(-1, 6) for rows in errors])
     known = every[np.isfinite(every[:, 0])]
     position_m = np.hypot(known[:, 0], known[:, 1])
 
-    def rms(values: FloatArray) -> float:
+    def rms(values: Float64) -> float:
         return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
     return Outcome(
@@ -346,7 +344,7 @@ def _run(setting: _Setting, task: _Task) -> Swim:
     return swim
 
 
-def _error(method: Estimates, at_us: int, truth: FloatArray) -> FloatArray:
+def _error(method: Estimates, at_us: int, truth: Float64) -> Float64:
     estimate = method.at(at_us)
     if estimate is None:
         return np.full(6, np.nan)

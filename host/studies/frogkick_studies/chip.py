@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.progress import shown
 from frogkick.front.places import built_firmware, plan_config, robot_of_table, table_image
@@ -102,7 +102,7 @@ class _Chunk:
 class _Counted:
     depth: int
     path_name: str
-    cycles: npt.NDArray[np.int64]
+    cycles: Int64
     timed: TimedStates
     at_random: bool
     functions: tuple[tuple[str, int, int, float], ...]
@@ -264,9 +264,7 @@ class _Study:
             most = max(most, float(np.delete(predicted, places).max()))
         return error, most * (1.0 + error) / CYCLES_PER_MS
 
-    def _others(
-        self, depth: int, name: str, model: CycleModel
-    ) -> tuple[TimedStates, npt.NDArray[np.float64]]:
+    def _others(self, depth: int, name: str, model: CycleModel) -> tuple[TimedStates, Float64]:
         timed = self.states(depth, name).part(self.first(depth), self.count(depth))
         settings = dataclasses.replace(self.config, depth=depth)
         return timed, model.predict(self.tables.image, self.paths[name], settings, timed)

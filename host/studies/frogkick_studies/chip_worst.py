@@ -13,13 +13,12 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick.runs.chip_planner import TimedStates
 from frogkick_codegen.native_blocks import BlockCounter
 
-Float64 = npt.NDArray[np.float64]
 _RIDGE = 1e-3
 """Ridge of the fit, relative to a block's largest share: many blocks always run together."""
 _BATCH = 2000
@@ -43,7 +42,7 @@ class CycleModel:
 def fit_cycles(
     image: bytes,
     config: PlanConfig,
-    runs: list[tuple[PathLike, TimedStates, npt.NDArray[np.int64]]],
+    runs: list[tuple[PathLike, TimedStates, Int64]],
     depth: int,
 ) -> CycleModel:
     """Fit the cost of each block.
@@ -68,7 +67,7 @@ def fit_cycles(
     return CycleModel(np.linalg.solve(matrix, parts.sum(axis=0)) / size)
 
 
-def dearest(predicted: Float64, beyond: npt.NDArray[np.float32], number: int) -> npt.NDArray[np.int64]:
+def dearest(predicted: Float64, beyond: Float32, number: int) -> Int64:
     """Return the indices of about ``number`` states: the most expensive of all, and of each reach."""
     kinds = np.unique(beyond)
     order = np.argsort(-predicted, kind="stable")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import ConvergenceError
 from frogkick.core.progress import shown
 from frogkick.der import STEP_S, Gait, Trajectory, prepare, program_of, simulate_gaits, simulate_many
@@ -17,8 +17,6 @@ from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick_studies import Found
 from frogkick_studies.configs import Convergence
-
-FloatArray = npt.NDArray[np.float64]
 
 STEPS_S = (0.0064, 0.0032, 0.0016, 0.0008, 0.0004)
 REFERENCE_STEP_S = 0.0001
@@ -39,9 +37,9 @@ class Curve:
     """
 
     name: str
-    step_s: FloatArray
-    error: FloatArray
-    worst: FloatArray
+    step_s: Float64
+    error: Float64
+    worst: Float64
 
     @property
     def order(self) -> float:
@@ -73,7 +71,7 @@ def convergence(
     """
     gaits = _gaits(robot)[::every]
 
-    def gait_speeds(robot: Robot, step_s: float) -> FloatArray:
+    def gait_speeds(robot: Robot, step_s: float) -> Float64:
         return _gait_speeds(robot, gaits, step_s)
 
     done, whole = 0, 2 * (len(STEPS_S) + 1)
@@ -90,7 +88,7 @@ def convergence(
     return curves
 
 
-def _stroke_distances(robot: Robot, step_s: float) -> FloatArray:
+def _stroke_distances(robot: Robot, step_s: float) -> Float64:
     """Return distances (m) over one period of each action, from rest and from the middle of the box."""
     box = robot.library_box
     cruising = [sum(ends) / 2.0 for ends in (box.forward_mps, box.left_mps, box.omega_rad_s)]
@@ -101,7 +99,7 @@ def _stroke_distances(robot: Robot, step_s: float) -> FloatArray:
     return np.hypot(motions.pose_world[:, -1, 0], motions.pose_world[:, -1, 1])
 
 
-def _gait_speeds(robot: Robot, gaits: Sequence[Gait], step_s: float) -> FloatArray:
+def _gait_speeds(robot: Robot, gaits: Sequence[Gait], step_s: float) -> Float64:
     swum = simulate_gaits(robot, gaits, GAIT_CYCLES, step_s=step_s)
     _no_failures(result for result in swum if not isinstance(result, Trajectory))
     return np.array([result.speed_mps for result in swum if isinstance(result, Trajectory)])

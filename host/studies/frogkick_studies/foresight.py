@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.compiled import kept, stamp_of
 from frogkick.core.errors import InputError
 from frogkick.core.poses import world_from_body
@@ -30,9 +30,6 @@ from frogkick.runs.record import along_path
 from frogkick.tables.image import Tables, read_image
 from frogkick_studies import Found
 from frogkick_studies.configs import Foresight
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 DECISIONS_MOST = 150
 _LONGER = 2.0  # times the decisions of the fastest plan: slower ones are not looked for
@@ -57,7 +54,7 @@ class Foreseen:
     actions: tuple[int, ...]
     mean_distance_m: float
     progress_mps: float
-    poses_world: FloatArray
+    poses_world: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +62,12 @@ class _Plans:
     """Plans side by side, (k, ...); ``parent`` is the place in the level before, ``action`` the last
     action."""
 
-    pose: FloatArray
-    dynamics: IntArray
-    place: IntArray
-    cost_m: FloatArray  # sum of the decisions' mean distances
-    parent: IntArray
-    action: IntArray
+    pose: Float64
+    dynamics: Int64
+    place: Int64
+    cost_m: Float64  # sum of the decisions' mean distances
+    parent: Int64
+    action: Int64
 
 
 def foresee(
@@ -134,7 +131,7 @@ def _foreseen(
     return Foreseen(actions, mean_m, progress_mps, poses)
 
 
-def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float, float]) -> FloatArray:
+def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float, float]) -> Float64:
     """Return (SAMPLES * actions + 1, 3) poses, world frame, by the table, from rest, linear between
     decisions."""
     table = arrays_of(tables)
@@ -151,14 +148,14 @@ def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float
     return np.array(poses)
 
 
-def _places(path: Path) -> FloatArray:
+def _places(path: Path) -> Float64:
     """Return (k, 2) points of the path's polyline at equal steps, m."""
     arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
     at_m = np.linspace(0.0, arc_m[-1], max(2, round(float(arc_m[-1]) / _FINE_M) + 1))
     return np.stack([np.interp(at_m, arc_m, path.points_m[:, axis]) for axis in (0, 1)], axis=1)
 
 
-def _expanded(table: TableArrays, plans: _Plans, places_m: FloatArray) -> _Plans:
+def _expanded(table: TableArrays, plans: _Plans, places_m: Float64) -> _Plans:
     actions = table.transitions.shape[1]
     count = len(plans.cost_m) * actions
     pose, place = np.empty((count, 3)), np.empty(count, dtype=np.int64)
@@ -169,7 +166,7 @@ def _expanded(table: TableArrays, plans: _Plans, places_m: FloatArray) -> _Plans
     return _Plans(pose, dynamics, place, cost_m, parent, np.tile(np.arange(actions), len(plans.cost_m)))
 
 
-def _kept(plans: _Plans, under_way: IntArray, breadth: int, tables: Tables) -> IntArray:
+def _kept(plans: _Plans, under_way: Int64, breadth: int, tables: Tables) -> Int64:
     """Return the cheapest plan of each cell of similar ones, and of these the cheapest of each part of the
     path."""
     order = under_way[np.argsort(plans.cost_m[under_way], kind="stable")]
@@ -180,7 +177,7 @@ def _kept(plans: _Plans, under_way: IntArray, breadth: int, tables: Tables) -> I
     return np.concatenate([order[:0], *(order[parts == part][:breadth] for part in np.unique(parts))])
 
 
-def _taken(plans: _Plans, which: IntArray) -> _Plans:
+def _taken(plans: _Plans, which: Int64) -> _Plans:
     return _Plans(*(getattr(plans, name)[which] for name in _Plans.__dataclass_fields__))
 
 

@@ -11,9 +11,9 @@ from math import isnan, nan
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file, write_bytes
 from frogkick.core.progress import shown
@@ -324,9 +324,7 @@ def loop_figure(
     return figure
 
 
-def _values(
-    outcomes: Mapping[Case, Outcome], name: str, world: str, path: str, planner: str
-) -> npt.NDArray[np.float64]:
+def _values(outcomes: Mapping[Case, Outcome], name: str, world: str, path: str, planner: str) -> Float64:
     """Return the values of each seed, in mm or mm/s."""
     return np.array(
         [

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.progress import shown
 from frogkick.core.weights import WEIGHTS
@@ -28,8 +28,6 @@ from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
 from frogkick_codegen.native import NativeLibrary
 from frogkick_studies import Found
 from frogkick_studies.configs import Weights
-
-FloatArray = npt.NDArray[np.float64]
 
 TUNED = (
     "distance_weight_per_m", "angle_weight_per_rad", "look_ahead_m", "soft_distance_m", "turn_lead",
@@ -207,7 +205,7 @@ def tune(
     scored: list[tuple[float, PlanConfig]] = []
     generations = max(1, trials // POPULATION)
 
-    def tried(logarithms: FloatArray) -> float:
+    def tried(logarithms: Float64) -> float:
         weights: dict[str, Any] = {
             name: min(WEIGHTS[name].most, math.exp(at)) for name, at in zip(TUNED, logarithms, strict=True)
         }

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import rotation
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.compiled import run_steps, set_accelerations, set_sums
@@ -21,25 +21,17 @@ from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.der.water import STILL, WATER, Water
 from frogkick.robot import Actuation
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 WIDTH = 8  # lanes: processors have vectors of 8 float64; the work space of 16 lanes exceeds the cache
 MAX_HALVINGS = 8
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Where the simulation of a lane failed.
+    """Where the simulation of a lane failed."""
 
-    Attributes:
-        time_s: end of the last step that succeeded.
-        residual: residual of the step that failed, over ``Mesh.force_scale_n``.
-        pose_world, velocity_body: state at ``time_s``: m, m, rad; m/s, m/s, rad/s.
-    """
-
-    time_s: float
-    residual: float
+    time_s: float  # end of the last step that succeeded
+    residual: float  # residual of the step that failed, over ``Mesh.force_scale_n``.
+    # pose_world, velocity_body: state at ``time_s``: m, m, rad; m/s, m/s, rad/s
     pose_world: tuple[float, float, float]
     velocity_body: tuple[float, float, float]
 
@@ -93,7 +85,7 @@ class _State:
 
     def run(
         self, lengths: SimdArray, active: SimdArray, steps: Sequence[int], factor_every: int, trace: bool
-    ) -> tuple[FloatArray, list[FloatArray]]:
+    ) -> tuple[Float64, list[Float64]]:
         """Take the steps of each lane.
 
         Args:
@@ -128,7 +120,7 @@ class _State:
         ]
         return lane_floats(report)[:, 0, :].copy(), traces
 
-    def motion(self) -> FloatArray:
+    def motion(self) -> Float64:
         """Return (width, MOTION) poses about the origins, velocities, unweighted means."""
         sums = lane_zeros((1, SUMS), self.width)
         set_sums(self.mesh, self.x_m, self.v_mps, 0, sums)
@@ -147,17 +139,17 @@ class _SingleLane:
     def __init__(
         self,
         state: _State,
-        laid: Callable[[FloatArray], tuple[SimdArray, SimdArray]],
+        laid: Callable[[Float64], tuple[SimdArray, SimdArray]],
         trace: bool,
         residual: float,
     ) -> None:
         self._state, self._laid, self._trace = state, laid, trace
         self.residual = residual  # of the last step that failed
         self.corrections = 0.0
-        self.ends: list[FloatArray] = []
-        self.rows: list[FloatArray] = []
+        self.ends: list[Float64] = []
+        self.rows: list[Float64] = []
 
-    def take_steps(self, times_s: FloatArray, factor_every: int) -> int:
+    def take_steps(self, times_s: Float64, factor_every: int) -> int:
         """Take steps, and return how many succeeded."""
         taken = len(times_s) - 1
         report, (rows,) = self._state.run(*self._laid(times_s), [taken], factor_every, self._trace)
@@ -180,23 +172,14 @@ class _SingleLane:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The state of a lane's robot in the middle of its strokes.
+    """The state of a lane's robot in the middle of its strokes."""
 
-    Attributes:
-        nodes: (n, 2) positions about the origin, velocities, accelerations.
-        water: the water around it.
-        strokes: strokes of each limb.
-        origin_m: (2,) origin, world frame.
-        time_s: its clock.
-        failed: whether its simulation has failed.
-    """
-
-    nodes: tuple[FloatArray, ...]
-    water: Water
-    strokes: tuple[tuple[Stroke, ...], ...]
-    origin_m: FloatArray
-    time_s: float
-    failed: bool
+    nodes: tuple[Float64, ...]  # (n, 2) positions about the origin, velocities, accelerations
+    water: Water  # the water around it
+    strokes: tuple[tuple[Stroke, ...], ...]  # strokes of each limb
+    origin_m: Float64  # (2,) origin, world frame
+    time_s: float  # its clock
+    failed: bool  # whether its simulation has failed
 
 
 class Batch:
@@ -211,8 +194,8 @@ class Batch:
         mesh: Mesh,
         symbolic: SymbolicFactorisation,
         actuations: Sequence[Actuation],
-        pose_world: FloatArray,
-        velocity_body: FloatArray,
+        pose_world: Float64,
+        velocity_body: Float64,
         *,
         limbs: int,
         time_s: float,
@@ -266,7 +249,7 @@ class Batch:
         if not self.corrections.any():  # nothing has moved yet: it starts in this water
             self._state.start()
 
-    def shift(self, moves: Mapping[int, tuple[FloatArray, FloatArray]]) -> None:
+    def shift(self, moves: Mapping[int, tuple[Float64, Float64]]) -> None:
         """Move the robots of lanes rigidly, as a correction by a measured pose does.
 
         Args:
@@ -316,9 +299,7 @@ class Batch:
         picked._origin = self._origin[chosen]
         return picked
 
-    def advance(
-        self, until_s: float | FloatArray, trace: bool = False
-    ) -> list[tuple[FloatArray, FloatArray]]:
+    def advance(self, until_s: float | Float64, trace: bool = False) -> list[tuple[Float64, Float64]]:
         """Advance until the clocks of the lanes show ``until_s``.
 
         Args:
@@ -354,8 +335,8 @@ class Batch:
         return [(ends[lane], rows[lane]) for lane in range(self.lanes)]
 
     def _continue_alone(
-        self, lane: int, times_s: FloatArray, step: int, residual: float, before: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+        self, lane: int, times_s: Float64, step: int, residual: float, before: Float64
+    ) -> tuple[Float64, Float64]:
         """Continue a lane alone from a failed step on, bisecting each step that fails.
 
         Returns:
@@ -366,7 +347,7 @@ class Batch:
         alone = self._alone
         self._state.copy_lane(lane, alone, 0)
 
-        def laid(times: FloatArray) -> tuple[SimdArray, SimdArray]:
+        def laid(times: Float64) -> tuple[SimdArray, SimdArray]:
             return self._schedule.laid(times[None], np.array([len(times)]), 1, lane)
 
         single = _SingleLane(alone, laid, len(before) > 0, residual)
@@ -405,27 +386,27 @@ class Batch:
         mesh = self._state.mesh
         return float(mesh.mass_kg @ (mesh.rest_m**2).sum(axis=1))
 
-    def motion_world(self) -> FloatArray:
+    def motion_world(self) -> Float64:
         """Return (lanes, MOTION) rows of frogkick.der.body.body_motion, world frame."""
         motion = self._state.motion()[: self.lanes]
         motion[:, 0:2] += self._origin
         motion[:, 6:8] += self._origin
         return motion
 
-    def pose_world(self) -> FloatArray:
+    def pose_world(self) -> Float64:
         """Return (lanes, 3) x, y (m) and heading (rad, in (-pi, pi]), world frame."""
         return self.motion_world()[:, :3]
 
-    def velocity_body(self) -> FloatArray:
+    def velocity_body(self) -> Float64:
         """Return (lanes, 3) forward, left (m/s) and turn rate (rad/s), body frame."""
         return self.motion_world()[:, 3:6]
 
-    def nodes_world(self) -> FloatArray:
+    def nodes_world(self) -> Float64:
         """Return (lanes, n, 2) node positions, m: the frame counter-clockwise, then each limb from root to
         tip."""
         nodes = np.moveaxis(lane_floats(self._state.x_m), 2, 0)[: self.lanes]
         return np.asarray(nodes + self._origin[:, None, :])
 
-    def node_velocities_world(self) -> FloatArray:
+    def node_velocities_world(self) -> Float64:
         """Return (lanes, n, 2) node velocities, m/s."""
         return np.moveaxis(lane_floats(self._state.v_mps), 2, 0)[: self.lanes].copy()

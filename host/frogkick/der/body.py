@@ -10,13 +10,11 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.compiled import INNER, kept
 from frogkick.der.lanes import SimdArray, get, put
 from frogkick.der.mesh import Mesh
-
-FloatArray = NDArray[np.float64]
 
 SUMS = 10
 MOTION = 8
@@ -74,7 +72,7 @@ def set_sums(mesh: Mesh, x_m: SimdArray, v_mps: SimdArray, row: int, sums: SimdA
 
 
 @kept(error_model="numpy")
-def body_motion(sums: FloatArray) -> FloatArray:
+def body_motion(sums: Float64) -> Float64:
     """Return poses and velocities from rows of ``set_sums``.
 
     Args:
@@ -96,9 +94,7 @@ def body_motion(sums: FloatArray) -> FloatArray:
     return motion
 
 
-def place_nodes(
-    mesh: Mesh, heading_rad: FloatArray, velocity_body: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def place_nodes(mesh: Mesh, heading_rad: Float64, velocity_body: Float64) -> tuple[Float64, Float64]:
     """Return positions about the centre and velocities, (n, 2, k) each, world frame, of rigidly moving
     robots.
 

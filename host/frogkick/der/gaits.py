@@ -6,16 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.der.batch import WIDTH, Failure
 from frogkick.der.strokes import LaneEffects, NoEffects, interpolate
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
 from frogkick.der.trajectory import Trajectory, sample_times, trajectory_of
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 CYCLES_MAX = 10000
 
@@ -89,20 +87,14 @@ def _trajectory(robot: Robot, gait: Gait, track: GaitTrack, cycles: int) -> Traj
 
 @dataclass(frozen=True, eq=False)
 class GaitTrack:
-    """The motion of a gait, step by step.
+    """The motion of a gait, step by step."""
 
-    Attributes:
-        time_s: (n,) 0 and the ends of all time steps.
-        motion: (n, MOTION) rows of frogkick.der.body.body_motion, world frame.
-        cycle_end: (cycles + 1,) rows at which cycles begin and end.
-    """
-
-    time_s: FloatArray
-    motion: FloatArray
-    cycle_end: NDArray[np.intp]
+    time_s: Float64  # (n,) 0 and the ends of all time steps
+    motion: Float64  # (n, MOTION) rows of frogkick.der.body.body_motion, world frame.
+    cycle_end: Int64  # (cycles + 1,) rows at which cycles begin and end
 
     @property
-    def node_mean_m(self) -> FloatArray:
+    def node_mean_m(self) -> Float64:
         """(n,) forward position of the unweighted mean of all nodes."""
         return np.asarray(self.motion[:, 6])
 

@@ -28,9 +28,11 @@ from numba.core.datamodel import models, register_default
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin
 from numba.np.arrayobj import make_array
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
-SimdArray = NDArray[Any]
+from frogkick.core.arrays import AnyArray, Float64
+
+SimdArray = AnyArray
 """An array of lane_dtype(W); inside a compiled function also one vector of it."""
 
 _FIELD = "lane"
@@ -44,7 +46,7 @@ def lane_dtype(width: int) -> np.dtype[Any]:
     return np.dtype(scalar) if width == 1 else np.dtype([(_FIELD, scalar, (width,))])
 
 
-def lane_zeros(shape: tuple[int, ...], width: int) -> NDArray[Any]:
+def lane_zeros(shape: tuple[int, ...], width: int) -> AnyArray:
     """Return zeros of ``lane_dtype(width)``, aligned so that no row of lanes straddles two cache lines."""
     count = prod(shape) * width * 8
     raw = np.zeros(count + _CACHE_LINE, dtype=np.uint8)
@@ -52,7 +54,7 @@ def lane_zeros(shape: tuple[int, ...], width: int) -> NDArray[Any]:
     return np.ndarray(shape, lane_dtype(width), raw, first)
 
 
-def lane_floats(array: NDArray[Any]) -> NDArray[np.float64]:
+def lane_floats(array: AnyArray) -> Float64:
     """Return the same memory as float64 with one more axis, the lanes."""
     return np.asarray(array[_FIELD] if array.dtype.names else array[..., None])
 

@@ -10,66 +10,42 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int32
 from frogkick.der.symbolic import SymbolicFactorisation, factorise_symbolically
 from frogkick.robot import Robot
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-
 
 class Mesh(NamedTuple):
-    """Nodes 0 .. frame_nodes-1 go round the frame, then each limb from root to tip. SI units.
+    """Nodes 0 .. frame_nodes-1 go round the frame, then each limb from root to tip. SI units."""
 
-    Attributes:
-        frame_nodes: number of nodes of the frame.
-        rest_m: (n, 2) positions at rest, body frame, origin at the mass-weighted centre.
-        mass_kg: (n,) lumped mass including added mass, half of each edge at each of its ends.
-        edge_nodes: (e, 2) ends of each edge.
-        edge_length_m: (e,) unstretched length.
-        edge_stiffness_n: (e,) EA.
-        edge_drag_normal, edge_drag_tangential: (e,) N / (m/s)^2 at EACH end: rho D C (dl / 2) / 2.
-        bend_nodes: (b, 3) the three nodes of each bend; a corner is the middle of two bends.
-        bend_length_m: (b,) mean length of its two edges.
-        bend_stiffness_n_m2: (b,) EI at rest.
-        bend_active_gain: (b,) EI grows by this factor times the activation; 0 outside the limbs and at roots.
-        bend_natural_per_m: (b,) natural curvature at rest.
-        bend_limb: (b,) the limb that actuates it, -1 for none.
-        edge_inverse_per_m: (e,) 1 / edge_length_m.
-        bend_edges: (b, 2) its two edges.
-        bend_sense: (b,) -1 if exactly one of these edges is stored against the bend's direction, else 1.
-        bend_curl: (b,) sign of the natural curvature that actuation reduces; 0 for bends of no limb.
-        bend_column: (b,) column of its activation: 2 * its limb, or 2 * the number of limbs for none.
-        force_scale_n: typical bending force of a limb, EI / length^2, the scale of residuals.
-        plate_edges: (p,) edges of limbs that take water along as plates do, see ``frogkick.der.plates``.
-        plate_kg: (p,) that water at EACH end, half of the edge's.
-        plate_shed_kg_per_m: (p,) mass per length that a tip at its second end sheds, else 0.
-    """
-
-    frame_nodes: int
-    rest_m: FloatArray
-    mass_kg: FloatArray
-    edge_nodes: IntArray
-    edge_length_m: FloatArray
-    edge_stiffness_n: FloatArray
-    edge_drag_normal: FloatArray
-    edge_drag_tangential: FloatArray
-    bend_nodes: IntArray
-    bend_length_m: FloatArray
-    bend_stiffness_n_m2: FloatArray
-    bend_active_gain: FloatArray
-    bend_natural_per_m: FloatArray
-    bend_limb: IntArray
-    edge_inverse_per_m: FloatArray
-    bend_edges: IntArray
-    bend_sense: FloatArray
-    bend_curl: FloatArray
-    bend_column: IntArray
-    force_scale_n: float
-    plate_edges: IntArray
-    plate_kg: FloatArray
-    plate_shed_kg_per_m: FloatArray
+    frame_nodes: int  # number of nodes of the frame
+    rest_m: Float64  # (n, 2) positions at rest, body frame, origin at the mass-weighted centre
+    mass_kg: Float64  # (n,) lumped mass including added mass, half of each edge at each of its ends
+    edge_nodes: Int32  # (e, 2) ends of each edge
+    edge_length_m: Float64  # (e,) unstretched length
+    edge_stiffness_n: Float64  # (e,) EA
+    # edge_drag_normal, edge_drag_tangential: (e,) N / (m/s)^2 at EACH end: rho D C (dl / 2) / 2
+    edge_drag_normal: Float64
+    edge_drag_tangential: Float64
+    bend_nodes: Int32  # (b, 3) the three nodes of each bend; a corner is the middle of two bends
+    bend_length_m: Float64  # (b,) mean length of its two edges
+    bend_stiffness_n_m2: Float64  # (b,) EI at rest
+    # (b,) EI grows by this factor times the activation; 0 outside the limbs and at roots
+    bend_active_gain: Float64
+    bend_natural_per_m: Float64  # (b,) natural curvature at rest
+    bend_limb: Int32  # (b,) the limb that actuates it, -1 for none
+    edge_inverse_per_m: Float64  # (e,) 1 / edge_length_m
+    bend_edges: Int32  # (b, 2) its two edges
+    # (b,) -1 if exactly one of these edges is stored against the bend's direction, else 1
+    bend_sense: Float64
+    bend_curl: Float64  # (b,) sign of the natural curvature that actuation reduces; 0 for bends of no limb
+    bend_column: Int32  # (b,) column of its activation: 2 * its limb, or 2 * the number of limbs for none
+    force_scale_n: float  # typical bending force of a limb, EI / length^2, the scale of residuals
+    # (p,) edges of limbs that take water along as plates do, see ``frogkick.der.plates``.
+    plate_edges: Int32
+    plate_kg: Float64  # (p,) that water at EACH end, half of the edge's
+    plate_shed_kg_per_m: Float64  # (p,) mass per length that a tip at its second end sheds, else 0
 
 
 def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:
@@ -85,7 +61,7 @@ def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:
     return points, corners
 
 
-def turning_curvature(rest_m: FloatArray, nodes: tuple[int, int, int]) -> tuple[float, float]:
+def turning_curvature(rest_m: Float64, nodes: tuple[int, int, int]) -> tuple[float, float]:
     """Return the discrete curvature 2 tan(phi / 2) / dl (1/m) at the middle of three nodes, and dl (m)."""
     e = rest_m[nodes[1]] - rest_m[nodes[0]]
     f = rest_m[nodes[2]] - rest_m[nodes[1]]

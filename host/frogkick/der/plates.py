@@ -22,17 +22,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from frogkick.core.compiled import BARE
 from frogkick.der.lanes import SimdArray, add, get, where_above
 from frogkick.der.mesh import Mesh
 from frogkick.der.rods import Edges
 from frogkick.der.water import flow_x, flow_y
-
-FloatArray = NDArray[np.float64]
 
 
 @njit(**BARE)

@@ -19,23 +19,14 @@ from frogkick.der.water import flow_x, flow_y, push_x, push_y
 
 
 class Edges(NamedTuple):
-    """Values on edges and bends that ``add_forces`` computes and ``add_stiffness`` uses at the same state.
+    """Values on edges and bends that ``add_forces`` computes and ``add_stiffness`` uses at the same state."""
 
-    Attributes:
-        tangent: (e, 2) unit vector along each edge.
-        inverse_m: (e, 1) 1 / length.
-        pull_n: (e, 2) gradient of the elastic energy by the edge's vector, N.
-        stiffness: (e, 3) xx, xy, yy of the energy's second derivative by the edge's vector, N/m.
-        moment_nm: (b, 1) dE / dphi of each bend, N m.
-        slope_nm: (b, 1) d2E / dphi2, N m.
-    """
-
-    tangent: SimdArray
-    inverse_m: SimdArray
-    pull_n: SimdArray
-    stiffness: SimdArray
-    moment_nm: SimdArray
-    slope_nm: SimdArray
+    tangent: SimdArray  # (e, 2) unit vector along each edge
+    inverse_m: SimdArray  # (e, 1) 1 / length
+    pull_n: SimdArray  # (e, 2) gradient of the elastic energy by the edge's vector, N
+    stiffness: SimdArray  # (e, 3) xx, xy, yy of the energy's second derivative by the edge's vector, N/m
+    moment_nm: SimdArray  # (b, 1) dE / dphi of each bend, N m
+    slope_nm: SimdArray  # (b, 1) d2E / dphi2, N m
 
 
 def edges_of(mesh: Mesh, width: int) -> Edges:

@@ -18,15 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.compiled import kept
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import Actuation
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 COARSEST = 8.0  # longest step over the finest; beyond it, limbs that curl back need more corrections per step
 COARSEST_AT_REST = 12.0  # the same while no stroke lasts
@@ -55,19 +52,12 @@ class Stroke(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StepProfile:
-    """Step-size profile: the longest steps during a stroke.
+    """Step-size profile: the longest steps during a stroke."""
 
-    Attributes:
-        coarseness: (n,) longest step over the finest, at each ``every_s`` since the stroke's start.
-        every_s: spacing of the coarseness.
-        over_s: time at which the limb is back at rest.
-        peak_s: time at which it is straightest.
-    """
-
-    coarseness: FloatArray
-    every_s: float
-    over_s: float
-    peak_s: float
+    coarseness: Float64  # (n,) longest step over the finest, at each ``every_s`` since the stroke's start
+    every_s: float  # spacing of the coarseness
+    over_s: float  # time at which the limb is back at rest
+    peak_s: float  # time at which it is straightest
 
 
 def step_profile_of(actuation: Actuation) -> StepProfile:
@@ -90,22 +80,19 @@ def step_profile_of(actuation: Actuation) -> StepProfile:
 
 
 class Profiles(NamedTuple):
-    """Profiles of several lanes: fields of ``StepProfile`` and ``Actuation``, a row for each lane.
+    """Profiles of several lanes: fields of ``StepProfile`` and ``Actuation``, a row for each lane."""
 
-    Attributes:
-        coarseness, activation: (lanes, n) padded rows; the first ``coarse`` and ``active`` values are valid.
-    """
-
-    coarseness: FloatArray
-    coarse: IntArray
-    every_s: FloatArray
-    over_s: FloatArray
-    peak_s: FloatArray
-    duration_s: FloatArray
-    activation: FloatArray
-    active: IntArray
-    step_s: FloatArray
-    drop_per_m: FloatArray
+    # coarseness, activation: (lanes, n) padded rows; the first ``coarse`` and ``active`` values are valid
+    coarseness: Float64
+    coarse: Int64
+    every_s: Float64
+    over_s: Float64
+    peak_s: Float64
+    duration_s: Float64
+    activation: Float64
+    active: Int64
+    step_s: Float64
+    drop_per_m: Float64
 
     def of(self, lanes: Sequence[int]) -> Profiles:
         """Return the rows of some lanes."""
@@ -151,9 +138,7 @@ class Schedule:
         twin._changed = set(range(len(twin._strokes)))
         return twin
 
-    def times(
-        self, now_s: FloatArray, until_s: FloatArray, going: NDArray[np.bool_]
-    ) -> tuple[FloatArray, IntArray]:
+    def times(self, now_s: Float64, until_s: Float64, going: Bool) -> tuple[Float64, Int64]:
         """Return the ends of the steps of each lane; see ``lane_times``."""
         for lane in self._changed:
             self._prune(lane, float(now_s[lane]))
@@ -167,7 +152,7 @@ class Schedule:
         return steps[0], steps[1]
 
     def laid(
-        self, times: FloatArray, counts: IntArray, width: int, lane: int | None = None
+        self, times: Float64, counts: Int64, width: int, lane: int | None = None
     ) -> tuple[SimdArray, SimdArray]:
         """Return the lengths of the steps of all lanes or of one, and the activations; see ``lay_out``."""
         strokes, profiles, longest = self._tables[2], self._profiles, int(counts.max()) - 1
@@ -224,7 +209,7 @@ def profiles_of(actuations: Sequence[Actuation]) -> Profiles:
     )
 
 
-def _side_by_side(rows: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
+def _side_by_side(rows: Sequence[Float64]) -> tuple[Float64, Int64]:
     sizes = np.array([len(row) for row in rows], dtype=np.int64)
     every = np.zeros((len(rows), int(sizes.max())))
     for lane, row in enumerate(rows):
@@ -234,15 +219,15 @@ def _side_by_side(rows: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
 
 @kept(error_model="numpy")
 def lane_times(
-    now_s: FloatArray,
-    until_s: FloatArray,
-    going: NDArray[np.bool_],
-    starts_s: FloatArray,
-    scales: FloatArray,
+    now_s: Float64,
+    until_s: Float64,
+    going: Bool,
+    starts_s: Float64,
+    scales: Float64,
     profiles: Profiles,
     step_s: float,
     longest_s: float,
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[Float64, Int64]:
     """Return the ends of the steps of each lane.
 
     Args:
@@ -290,13 +275,13 @@ def lane_times(
 
 @kept(error_model="numpy")
 def lay_out(
-    times: FloatArray,
-    counts: IntArray,
-    strokes: FloatArray,
+    times: Float64,
+    counts: Int64,
+    strokes: Float64,
     profiles: Profiles,
     share: float,
-    lengths: FloatArray,
-    active: FloatArray,
+    lengths: Float64,
+    active: Float64,
 ) -> None:
     """Set the lengths of the steps, and in each step the activation and the curvature decrease of each limb.
 
@@ -329,14 +314,14 @@ def lay_out(
 def step_times(
     time_s: float,
     until_s: float,
-    starts_s: FloatArray,
-    scales: FloatArray,
-    coarseness: FloatArray,
+    starts_s: Float64,
+    scales: Float64,
+    coarseness: Float64,
     every_s: float,
     over_s: float,
     peak_s: float,
     step_s: float,
-) -> FloatArray:
+) -> Float64:
     """Return times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps of one lane."""
     ends = np.empty(3 + 4 * len(starts_s) + int((until_s - time_s) / step_s))
     ends[0] = time_s
@@ -379,8 +364,8 @@ def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
 
 @kept(error_model="numpy")
 def stroke_activation(
-    times_s: FloatArray, strokes: FloatArray, table: FloatArray, table_step_s: float, peak_s: float
-) -> FloatArray:
+    times_s: Float64, strokes: Float64, table: Float64, table_step_s: float, peak_s: float
+) -> Float64:
     """Return activations (k, limbs) at times (k,): the largest of each limb's strokes, otherwise 0.
 
     Args:

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import body_from_world
 from frogkick.der.batch import WIDTH, Batch, Failure
 from frogkick.der.swimmer import STEP_S, Rods, batch_of
 from frogkick.robot import Action, Robot
-
-FloatArray = NDArray[np.float64]
 
 Program = Sequence[tuple[float, int]]
 """Strokes of one simulation: (time_s, limb_mask), bit i = limb i."""
@@ -23,19 +21,12 @@ Program = Sequence[tuple[float, int]]
 
 @dataclass(frozen=True)
 class Motions:
-    """Motions of k robots from the world's origin, heading along world x.
+    """Motions of k robots from the world's origin, heading along world x."""
 
-    Attributes:
-        time_s: (s,) times.
-        pose_world: (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN after a failure.
-        velocity_body: (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise.
-        failures: simulation -> its failure.
-    """
-
-    time_s: FloatArray
-    pose_world: FloatArray
-    velocity_body: FloatArray
-    failures: dict[int, Failure]
+    time_s: Float64  # (s,) times
+    pose_world: Float64  # (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN after a failure
+    velocity_body: Float64  # (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise
+    failures: dict[int, Failure]  # simulation -> its failure
 
 
 class LaneEffects(Protocol):
@@ -45,8 +36,8 @@ class LaneEffects(Protocol):
         """Fire a limb of a lane's robot."""
 
     def advance(
-        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
-    ) -> list[tuple[FloatArray, FloatArray]]:
+        self, batch: Batch, until_s: float | Float64, trace: bool = False
+    ) -> list[tuple[Float64, Float64]]:
         """Advance all lanes; see Batch.advance."""
 
 
@@ -57,8 +48,8 @@ class NoEffects:
         batch.fire(lane, limb, time_s)
 
     def advance(
-        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
-    ) -> list[tuple[FloatArray, FloatArray]]:
+        self, batch: Batch, until_s: float | Float64, trace: bool = False
+    ) -> list[tuple[Float64, Float64]]:
         return batch.advance(until_s, trace)
 
 
@@ -70,9 +61,9 @@ def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> list[tuple
 
 def simulate_many(
     rods: Rods | Sequence[Rods],
-    velocity_body: FloatArray,
+    velocity_body: Float64,
     programs: Sequence[Program],
-    time_s: Sequence[float] | FloatArray,
+    time_s: Sequence[float] | Float64,
     *,
     step_s: float = STEP_S,
     width: int = WIDTH,
@@ -136,8 +127,8 @@ def simulate_many(
 
 
 def cubic(
-    p: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, length_s: FloatArray, share: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+    p: Float64, q: Float64, v: Float64, w: Float64, length_s: Float64, share: Float64
+) -> tuple[Float64, Float64]:
     """Return value and slope of the cubic Hermite interpolant from p with slope v to q with slope w.
 
     Args:
@@ -150,7 +141,7 @@ def cubic(
     return value, v + share * (2.0 * bend + share * (3.0 * twist)) / length_s
 
 
-def interpolate(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def interpolate(ends_s: Float64, rows: Float64, time_s: Float64) -> tuple[Float64, Float64]:
     """Interpolate poses and body velocities between the ends of steps (cubic Hermite).
 
     Args:

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.batch import Batch
 from frogkick.der.mesh import Mesh, build_mesh
 from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.der.water import Water
 from frogkick.robot import Actuation, Robot
-
-FloatArray = NDArray[np.float64]
 
 STEP_S = 0.0008
 """Finest time step, while a limb straightens; see frogkick.der.schedule for the others."""
@@ -44,8 +42,8 @@ def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: floa
 
 def batch_of(
     rods: Sequence[Rods],
-    pose_world: FloatArray,
-    velocity_body: FloatArray,
+    pose_world: Float64,
+    velocity_body: Float64,
     time_s: float,
     step_s: float,
     width: int,
@@ -175,18 +173,18 @@ class Swimmer:
     def _failed(self) -> str:
         return f"rods of {self.rods.robot.id!r} {self._batch.failures[0]}"
 
-    def pose_world(self) -> FloatArray:
+    def pose_world(self) -> Float64:
         """(3,) x, y (m) and heading (rad, in (-pi, pi]) in the world frame."""
         return np.asarray(self._batch.pose_world()[0])
 
-    def velocity_body(self) -> FloatArray:
+    def velocity_body(self) -> Float64:
         """(3,) forward, left (m/s) and turn rate (rad/s) in the body frame."""
         return np.asarray(self._batch.velocity_body()[0])
 
-    def nodes_world(self) -> FloatArray:
+    def nodes_world(self) -> Float64:
         """(n, 2) node positions, m: the frame counter-clockwise, then each limb from root to tip."""
         return np.asarray(self._batch.nodes_world()[0])
 
-    def node_velocities_world(self) -> FloatArray:
+    def node_velocities_world(self) -> Float64:
         """(n, 2) node velocities, m/s."""
         return np.asarray(self._batch.node_velocities_world()[0])

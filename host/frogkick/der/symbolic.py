@@ -12,41 +12,29 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-IntArray = NDArray[np.int32]
+from frogkick.core.arrays import Int32
 
 
 class SymbolicFactorisation(NamedTuple):
     """Index lists of a symbolic factorisation.
 
     Pair p couples the node order[k], start[k] <= p < start[k + 1], to neighbour[p].
-
-    Attributes:
-        order: (n,) nodes in the order of their elimination.
-        start: (n + 1,) first pair of each node.
-        neighbour: (pairs,) the other node of each pair, which is eliminated later; includes fill-in.
-        target_start: (n,) first target of step k.
-        target: for step k, for each two neighbours i before j, the pair (i, j) that it updates.
-        edge_pair: (e,) the pair of each edge's two nodes.
-        bend_pair: (b, 3) the pairs of each bend's nodes a b, a c, b c.
-        bend_flip: (b, 3) 1 if the second of these nodes is eliminated first (its row), else 0.
-        widest: largest number of neighbours of a node.
     """
 
-    order: IntArray
-    start: IntArray
-    neighbour: IntArray
-    target_start: IntArray
-    target: IntArray
-    edge_pair: IntArray
-    bend_pair: IntArray
-    bend_flip: IntArray
-    widest: int
+    order: Int32  # (n,) nodes in the order of their elimination
+    start: Int32  # (n + 1,) first pair of each node
+    neighbour: Int32  # (pairs,) the other node of each pair, which is eliminated later; includes fill-in
+    target_start: Int32  # (n,) first target of step k
+    target: Int32  # for step k, for each two neighbours i before j, the pair (i, j) that it updates
+    edge_pair: Int32  # (e,) the pair of each edge's two nodes
+    bend_pair: Int32  # (b, 3) the pairs of each bend's nodes a b, a c, b c
+    bend_flip: Int32  # (b, 3) 1 if the second of these nodes is eliminated first (its row), else 0
+    widest: int  # largest number of neighbours of a node
 
 
 def factorise_symbolically(
-    nodes: int, edge_nodes: IntArray, bend_nodes: IntArray, order: Sequence[int]
+    nodes: int, edge_nodes: Int32, bend_nodes: Int32, order: Sequence[int]
 ) -> SymbolicFactorisation:
     """Return the elimination of all nodes, with fill-in.
 
@@ -81,7 +69,7 @@ def factorise_symbolically(
         target_start.append(len(target))
         target += [pair[i, j] for i, j in combinations(others, 2)]
 
-    def of(values: Sequence[object]) -> IntArray:
+    def of(values: Sequence[object]) -> Int32:
         return np.array(values, dtype=np.int32)
 
     def found(i: int, j: int) -> int:

@@ -7,16 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.poses import wrap_angle
 from frogkick.der.strokes import LaneEffects, program_of, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, prepare
 from frogkick.robot import Action, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
-
-FloatArray = NDArray[np.float64]
 
 SAMPLE_S = 0.01  # spacing of trajectories
 
@@ -35,9 +33,9 @@ class Trajectory:
             motion.
     """
 
-    time_s: FloatArray
-    pose_world: FloatArray
-    velocity_body: FloatArray
+    time_s: Float64
+    pose_world: Float64
+    velocity_body: Float64
     speed_mps: float
     distance_m: float
     cost_of_transport: float
@@ -50,9 +48,9 @@ class Trajectory:
 
 
 def trajectory_of(
-    time_s: FloatArray,
-    pose_world: FloatArray,
-    velocity_body: FloatArray,
+    time_s: Float64,
+    pose_world: Float64,
+    velocity_body: Float64,
     speed_mps: float,
     energy_j: float,
     robot: Robot,
@@ -70,7 +68,7 @@ def trajectory_of(
     return Trajectory(time_s, poses, velocity_body, speed_mps, distance, cost)
 
 
-def sample_times(period_s: float, periods: int) -> FloatArray:
+def sample_times(period_s: float, periods: int) -> Float64:
     """Times from 0 to the end of all periods, near SAMPLE_S apart, that hold every period's end."""
     samples = max(1, round(period_s / SAMPLE_S))
     return np.concatenate(

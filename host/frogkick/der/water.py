@@ -12,12 +12,10 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.compiled import INNER
 from frogkick.der.lanes import SimdArray, get
-
-FloatArray = NDArray[np.float64]
 
 WATER = 9
 """Numbers of one lane: u0 (2), G by rows (4), a0 (2), alpha."""
@@ -25,21 +23,15 @@ WATER = 9
 
 @dataclass(frozen=True)
 class Water:
-    """Flow and external acceleration about a body's centre of mass, world frame.
+    """Flow and external acceleration about a body's centre of mass, world frame."""
 
-    Attributes:
-        flow_mps: (2,) velocity of the water there.
-        gradient_per_s: (2, 2) its gradient: row i, column j is d u_i / d x_j.
-        push_mps2: (2,) acceleration of the body.
-        turn_rad_s2: angular acceleration of the body.
-    """
-
-    flow_mps: tuple[float, float] = (0.0, 0.0)
+    flow_mps: tuple[float, float] = (0.0, 0.0)  # (2,) velocity of the water there
+    # (2, 2) its gradient: row i, column j is d u_i / d x_j
     gradient_per_s: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    push_mps2: tuple[float, float] = (0.0, 0.0)
-    turn_rad_s2: float = 0.0
+    push_mps2: tuple[float, float] = (0.0, 0.0)  # (2,) acceleration of the body
+    turn_rad_s2: float = 0.0  # angular acceleration of the body
 
-    def numbers(self) -> FloatArray:
+    def numbers(self) -> Float64:
         """Return (WATER,) numbers for the compiled functions."""
         return np.array(
             [

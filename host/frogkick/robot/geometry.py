@@ -5,21 +5,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.core.errors import InputError
 from frogkick.robot.model import Robot
-from frogkick.robot.shape import FloatArray, Frame, Limb, limb_points, outline_of
+from frogkick.robot.shape import Frame, Limb, limb_points, outline_of
 
 SEGMENT_MIN_M = 1e-4  # shorter segments are likely errors of a unit
 TURN_MAX_DEG = 170.0  # discrete curvature grows as tan(turn / 2)
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+def _cross(a: Float64, b: Float64) -> Float64:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def crossings(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
+def crossings(first: Float64, second: Float64) -> Bool:
     """(n - 1, m - 1) whether segments of two lines (n, 2) and (m, 2) cross; touching lines do not."""
     a, b = first[:-1, None], first[1:, None]
     c, d = second[None, :-1], second[None, 1:]
@@ -28,7 +28,7 @@ def crossings(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(apart_cd & apart_ab)
 
 
-def _edge(frame: Frame, index: int) -> FloatArray:
+def _edge(frame: Frame, index: int) -> Float64:
     return outline_of(frame)[index : index + 2]
 
 

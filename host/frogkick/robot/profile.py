@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 
 TERMS = 3  # one heating, two cooling: two terms leave 2.0 1/m RMS at worst, four gain 0.16 on average
@@ -37,7 +37,7 @@ class Profile:
     width_s: tuple[float, ...]
     rms_per_m: float
 
-    def curvature_per_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def curvature_per_m(self, time_s: Float64) -> Float64:
         """Curvature (1/m) at times (s, any shape) since the pulse began; rest outside of the cycle."""
         inside = np.clip(time_s, 0.0, self.duration_s)
         parameters = np.concatenate(
@@ -51,31 +51,23 @@ class Profile:
 
 @dataclass(frozen=True)
 class Actuation:
-    """The effect of a stroke on a limb, sampled for the simulation.
+    """The effect of a stroke on a limb, sampled for the simulation."""
 
-    Attributes:
-        duration_s: from the pulse's start to rest.
-        step_s: spacing of the samples.
-        drop_per_m: largest drop of the curvature, 1/m.
-        activation: (n,) share of that fall: 0 at rest and at both ends, 1 where the limb is straightest.
-    """
-
-    duration_s: float
-    step_s: float
-    drop_per_m: float
-    activation: NDArray[np.float64]
+    duration_s: float  # from the pulse's start to rest
+    step_s: float  # spacing of the samples
+    drop_per_m: float  # largest drop of the curvature, 1/m
+    # (n,) share of that fall: 0 at rest and at both ends, 1 where the limb is straightest
+    activation: Float64
 
 
-def _logistic(argument: NDArray[np.float64]) -> NDArray[np.float64]:
+def _logistic(argument: Float64) -> Float64:
     return np.asarray(0.5 * (1.0 + np.tanh(0.5 * argument)))  # tanh does not overflow, exp would
 
 
-def _formula(
-    parameters: NDArray[np.float64], time_s: NDArray[np.float64], end_s: float
-) -> NDArray[np.float64]:
+def _formula(parameters: Float64, time_s: Float64, end_s: float) -> Float64:
     amplitude, centre, width = (parameters[1 + i :: 3] for i in range(3))
 
-    def raw(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    def raw(t: Float64) -> Float64:
         scaled = (np.asarray(t)[..., None] - centre) / width
         return np.asarray((amplitude * _logistic(scaled)).sum(axis=-1))
 
@@ -84,8 +76,8 @@ def _formula(
 
 
 def fit_profile(
-    time_s: Sequence[float] | NDArray[np.float64],
-    curvature_per_m: Sequence[float] | NDArray[np.float64],
+    time_s: Sequence[float] | Float64,
+    curvature_per_m: Sequence[float] | Float64,
     egain_percent: float,
     frequency_hz: float,
 ) -> Profile:

@@ -7,15 +7,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import csv_numbers, write_text
 from frogkick.robot.profile import Profile, fit_profile
 from frogkick.robot.toml_text import to_toml
 
 
-def read_mat(path: Path, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def read_mat(path: Path, name: str) -> tuple[Float64, Float64]:
     """Read ``t`` and one more variable of a MATLAB file, as rows.
 
     Raises:
@@ -35,17 +35,11 @@ def read_mat(path: Path, name: str) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 @dataclass(frozen=True, eq=False)
 class Stroke:
-    """A measured stroke.
+    """A measured stroke."""
 
-    Attributes:
-        name: of its file.
-        time_s: (n,) since the pulse began.
-        curvature_per_m: (n,) of the limb, 1/m, positive at rest.
-    """
-
-    name: str
-    time_s: NDArray[np.float64]
-    curvature_per_m: NDArray[np.float64]
+    name: str  # of its file
+    time_s: Float64  # (n,) since the pulse began
+    curvature_per_m: Float64  # (n,) of the limb, 1/m, positive at rest
 
 
 def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:

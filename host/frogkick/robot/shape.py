@@ -7,9 +7,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from frogkick.core.arrays import Float64
 
 
 @dataclass(frozen=True)
@@ -85,12 +84,12 @@ class Limb:
     tip_shedding: float = 0.0
 
 
-def outline_of(frame: Frame) -> FloatArray:
+def outline_of(frame: Frame) -> Float64:
     """(corners + 1, 2) the frame as a closed line, m."""
     return np.array([*frame.corners_m, frame.corners_m[0]])
 
 
-def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> FloatArray:
+def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> Float64:
     """(segments + 1, 2) nodes of a limb from root to tip, m, in the robot file's body coordinates.
 
     ``fall_per_m`` is the drop of its curvature by a stroke, 1/m.
@@ -113,7 +112,7 @@ def svg_of(frame: Frame, limbs: tuple[Limb, ...], width_px: int = 320) -> str:
     margin = 0.12 * float((high - low).max())
     wide, tall = (float(size) + 2.0 * margin for size in (high - low)[::-1])
 
-    def line(points: FloatArray) -> str:
+    def line(points: Float64) -> str:
         return " ".join(f"{high[1] + margin - y:.5f},{high[0] + margin - x:.5f}" for x, y in points)
 
     stroke = f"fill='none' stroke-width='{0.012 * wide:.5f}' stroke-linejoin='round'"

@@ -19,20 +19,14 @@ PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 @dataclass(frozen=True)
 class Board:
-    """A printed board.
+    """A printed board."""
 
-    Attributes:
-        kind: ``chessboard`` (its first square black) or ``charuco`` (OpenCV's DICT_4X4_50, markers of three
-            quarters of a square).
-        columns: squares along.
-        rows: squares across.
-        square_m: side of a square.
-    """
-
+    # ``chessboard`` (its first square black) or ``charuco`` (OpenCV's DICT_4X4_50, markers of three quarters
+    # of a square)
     kind: str
-    columns: int
-    rows: int
-    square_m: float
+    columns: int  # squares along
+    rows: int  # squares across
+    square_m: float  # side of a square
 
     def __post_init__(self) -> None:
         if self.kind not in ("chessboard", "charuco"):

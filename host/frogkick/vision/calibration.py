@@ -29,42 +29,27 @@ def refraction_offset_m(height_m: float) -> float:
 
 @dataclass(frozen=True)
 class Lens:
-    """Intrinsics.
+    """Intrinsics."""
 
-    Attributes:
-        matrix_px: (3, 3) camera matrix.
-        distortion: (5,) k1, k2, p1, p2, k3 of OpenCV's model.
-    """
-
-    matrix_px: Float64
-    distortion: Float64
+    matrix_px: Float64  # (3, 3) camera matrix
+    distortion: Float64  # (5,) k1, k2, p1, p2, k3 of OpenCV's model
 
 
 @dataclass(frozen=True)
 class Tag:
-    """The tag on the robot.
+    """The tag on the robot."""
 
-    Attributes:
-        family: ``tag36h11``, or ``tagStandard41h12`` with the extra ``apriltag``.
-        id: number in the family.
-        size_m: side of tag36h11's black square, of tagStandard41h12's white one (5 of its 9 cells).
-        height_m: of the printed face over the water; negative under it.
-        refraction_offset_m: apparent rise.
-        height_sd_m: standard deviation of its height by waves and trim.
-        tilt_sd_rad: standard deviation of its slopes along x and y by waves and swimming.
-        mount_heading_rad: direction of the picture's top, counter-clockwise from the robot's forward.
-        offset_body_m: the tag's centre in the body frame, x forward, y left.
-    """
-
-    family: str = "tag36h11"
-    id: int = 0
+    family: str = "tag36h11"  # ``tag36h11``, or ``tagStandard41h12`` with the extra ``apriltag``
+    id: int = 0  # number in the family
+    # side of tag36h11's black square, of tagStandard41h12's white one (5 of its 9 cells)
     size_m: float = 0.047
-    height_m: float = 0.0
-    refraction_offset_m: float = 0.0
-    height_sd_m: float = 0.0005
-    tilt_sd_rad: float = 0.02
+    height_m: float = 0.0  # of the printed face over the water; negative under it
+    refraction_offset_m: float = 0.0  # apparent rise
+    height_sd_m: float = 0.0005  # standard deviation of its height by waves and trim
+    tilt_sd_rad: float = 0.02  # standard deviation of its slopes along x and y by waves and swimming
+    # direction of the picture's top, counter-clockwise from the robot's forward
     mount_heading_rad: float = 0.0
-    offset_body_m: tuple[float, float] = (0.0, 0.0)
+    offset_body_m: tuple[float, float] = (0.0, 0.0)  # the tag's centre in the body frame, x forward, y left
 
     def __post_init__(self) -> None:
         check_tag(self.family, self.id)
@@ -88,33 +73,19 @@ class Tag:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A camera over a pool.
+    """A camera over a pool."""
 
-    Attributes:
-        image_px: width and height of the pictures.
-        pool_m: length (x) and width (y) of the pool.
-        homography: (3, 3) reference plane, m, to undistorted pixels.
-        plane_height_m: of the reference plane over the water, negative under it.
-        plane_refraction_offset_m: apparent rise of that plane.
-        camera_m: (3,) position of the camera in the pool's frame; None: unknown.
-        lens: intrinsics; None: unknown.
-        tag: the tag on the robot.
-        method: ``corners``, ``chessboard`` or ``charuco``.
-        points: number of points it was made from.
-        rms_px: root mean square of their residuals; 0 for four corners, which fit exactly.
-    """
-
-    image_px: tuple[int, int]
-    pool_m: tuple[float, float]
-    homography: Float64
-    plane_height_m: float = 0.0
-    plane_refraction_offset_m: float = 0.0
-    camera_m: Float64 | None = None
-    lens: Lens | None = None
-    tag: Tag = Tag()
-    method: str = "corners"
-    points: int = 4
-    rms_px: float = 0.0
+    image_px: tuple[int, int]  # width and height of the pictures
+    pool_m: tuple[float, float]  # length (x) and width (y) of the pool
+    homography: Float64  # (3, 3) reference plane, m, to undistorted pixels
+    plane_height_m: float = 0.0  # of the reference plane over the water, negative under it
+    plane_refraction_offset_m: float = 0.0  # apparent rise of that plane
+    camera_m: Float64 | None = None  # (3,) position of the camera in the pool's frame; None: unknown
+    lens: Lens | None = None  # intrinsics; None: unknown
+    tag: Tag = Tag()  # the tag on the robot
+    method: str = "corners"  # ``corners``, ``chessboard`` or ``charuco``
+    points: int = 4  # number of points it was made from
+    rms_px: float = 0.0  # root mean square of their residuals; 0 for four corners, which fit exactly
 
     def __post_init__(self) -> None:
         """Raise InputError for a size, height or matrix out of its limits."""

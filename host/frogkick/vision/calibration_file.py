@@ -3,71 +3,67 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file, write_text
 from frogkick.vision.calibration import Calibration, Lens, Tag
 
 FORMAT = 1
-KEYS: dict[str, tuple[set[str], set[str]]] = {
-    "image": ({"width_px", "height_px"}, set()),
-    "pool": ({"length_m", "width_m"}, set()),
-    "plane": ({"homography_m_to_px", "height_m", "refraction_offset_m"}, set()),
-    "camera": (set(), {"place_m", "matrix_px", "distortion"}),
-    "tag": (
-        {"family", "id", "size_m", "height_m", "refraction_offset_m"},
-        {"height_sd_m", "tilt_sd_rad", "mount_heading_rad", "offset_body_m"},
-    ),
-    "made": ({"method", "points", "rms_px"}, set()),
+HEAD = f"""\
+# frogkick camera calibration. Pool's frame: origin in its first corner, x along its length, z up,
+# z = 0 on the water. The homography takes (x_m, y_m) of the plane at height_m, as it is seen
+# (raised by the refraction offset), to undistorted pixels. Heights under water are negative.
+format = {FORMAT}
+"""
+
+
+Kind = type | tuple[int, ...]
+"""The type of a value, or the shape of an array of numbers."""
+
+KEYS: dict[str, dict[str, Kind]] = {
+    "image": {"width_px": int, "height_px": int},
+    "pool": {"length_m": float, "width_m": float},
+    "plane": {"homography_m_to_px": (3, 3), "height_m": float, "refraction_offset_m": float},
+    "camera": {"place_m": (3,), "matrix_px": (3, 3), "distortion": (5,)},
+    "tag": {
+        **{"family": str, "id": int, "size_m": float, "height_m": float, "refraction_offset_m": float},
+        **{"height_sd_m": float, "tilt_sd_rad": float, "mount_heading_rad": float, "offset_body_m": (2,)},
+    },
+    "made": {"method": str, "points": int, "rms_px": float},
 }
-"""Table -> required keys, optional keys."""
+"""Table -> its keys in their order; those of ``tag`` are the fields of ``Tag``."""
+OPTIONAL = {*KEYS["camera"], "height_sd_m", "tilt_sd_rad", "mount_heading_rad", "offset_body_m"}
 
 
-def _number(value: float) -> str:
-    return repr(float(value))
+def _written(value: Any, kind: Kind) -> str:
+    if isinstance(kind, type):
+        return f'"{value}"' if kind is str else repr(kind(value))
+    rows = ["[" + ", ".join(repr(float(each)) for each in row) + "]" for row in np.atleast_2d(value)]
+    return rows[0] if len(kind) == 1 else "[\n" + "".join(f"    {row},\n" for row in rows) + "]"
 
 
-def _row(values: Float64) -> str:
-    return "[" + ", ".join(_number(value) for value in values) + "]"
-
-
-def _matrix(values: Float64) -> str:
-    return "[\n" + "".join(f"    {_row(row)},\n" for row in values) + "]"
-
-
-def calibration_text(c: Calibration) -> str:
+def calibration_text(calibration: Calibration) -> str:
     """The file's text; the same calibration gives the same bytes."""
-    lines = [
-        "# frogkick camera calibration. Pool's frame: origin in its first corner, x along its length, z up,",
-        "# z = 0 on the water. The homography takes (x_m, y_m) of the plane at height_m, as it is seen",
-        "# (raised by the refraction offset), to undistorted pixels. Heights under water are negative.",
-        f"format = {FORMAT}",
-        "[image]", f"width_px = {c.image_px[0]}", f"height_px = {c.image_px[1]}",
-        "[pool]", f"length_m = {_number(c.pool_m[0])}", f"width_m = {_number(c.pool_m[1])}",
-        "[plane]", f"homography_m_to_px = {_matrix(c.homography)}", f"height_m = {_number(c.plane_height_m)}",
-        f"refraction_offset_m = {_number(c.plane_refraction_offset_m)}",
-    ]  # fmt: skip
-    if c.camera_m is not None or c.lens is not None:
-        lines.append("[camera]")
-    if c.camera_m is not None:
-        lines.append(f"place_m = {_row(c.camera_m)}")
-    if c.lens is not None:
-        lines += [f"matrix_px = {_matrix(c.lens.matrix_px)}", f"distortion = {_row(c.lens.distortion)}"]
-    tag = c.tag
-    lines += [
-        "[tag]", f'family = "{tag.family}"', f"id = {tag.id}", f"size_m = {_number(tag.size_m)}",
-        f"height_m = {_number(tag.height_m)}", f"refraction_offset_m = {_number(tag.refraction_offset_m)}",
-        f"height_sd_m = {_number(tag.height_sd_m)}", f"tilt_sd_rad = {_number(tag.tilt_sd_rad)}",
-        f"mount_heading_rad = {_number(tag.mount_heading_rad)}",
-        f"offset_body_m = {_row(np.array(tag.offset_body_m))}",
-        "[made]", f'method = "{c.method}"', f"points = {c.points}", f"rms_px = {_number(c.rms_px)}",
-    ]  # fmt: skip
-    return "\n".join(lines) + "\n"
+    c, lens = calibration, calibration.lens
+    values = (
+        c.image_px,
+        c.pool_m,
+        (c.homography, c.plane_height_m, c.plane_refraction_offset_m),
+        (c.camera_m, lens and lens.matrix_px, lens and lens.distortion),
+        astuple(c.tag),
+        (c.method, c.points, c.rms_px),
+    )
+    text = HEAD
+    for (table, keys), row in zip(KEYS.items(), values, strict=True):
+        given = [(key, value) for key, value in zip(keys, row, strict=True) if value is not None]
+        text += f"[{table}]\n" if given else ""
+        text += "".join(f"{key} = {_written(value, keys[key])}\n" for key, value in given)
+    return text
 
 
 def write_calibration(path: Path | str, calibration: Calibration) -> None:
@@ -104,48 +100,49 @@ def read_calibration(path: Path | str) -> Calibration:
             raise InputError(
                 f"calibration {str(path)!r} has an unknown table {name!r}{nearest_name(name, KEYS)}"
             )
-    for name, (needed, optional) in KEYS.items():
+    for name, keys in KEYS.items():
         table = tables.setdefault(name, {})
         if not isinstance(table, dict):
             raise InputError(f"calibration {str(path)!r}: {name} is not a table")
-        for key in sorted(needed - table.keys()):
+        for key in sorted(keys.keys() - OPTIONAL - table.keys()):
             raise InputError(f"calibration {str(path)!r} lacks {name}.{key}")
-        for key in sorted(table.keys() - needed - optional):
-            near = nearest_name(key, needed | optional)
-            raise InputError(f"calibration {str(path)!r} has an unknown key {name}.{key}{near}")
+        for key in sorted(table.keys() - keys):
+            raise InputError(
+                f"calibration {str(path)!r} has an unknown key {name}.{key}{nearest_name(key, keys)}"
+            )
     try:
         return _calibration(tables)
     except (TypeError, ValueError) as error:
         raise InputError(f"calibration {str(path)!r} cannot be used: {error}") from error
 
 
-def _array(table: dict[str, Any], key: str, shape: tuple[int, ...]) -> Float64:
-    values = np.array(table[key], dtype=np.float64)
-    if values.shape != shape or not np.isfinite(values).all():
-        raise ValueError(f"{key} is not {' x '.join(map(str, shape))} finite numbers")
+def _read(key: str, value: Any, kind: Kind) -> Any:
+    if isinstance(kind, type):
+        return kind(value)
+    values = np.array(value, dtype=np.float64)
+    if values.shape != kind or not np.isfinite(values).all():
+        raise ValueError(f"{key} is not {' x '.join(map(str, kind))} finite numbers")
     return values
 
 
 def _calibration(tables: dict[str, Any]) -> Calibration:
-    image, pool, plane, camera, tag, made = (tables[name] for name in KEYS)
+    image, pool, plane, camera, tag, made = (
+        {key: _read(key, tables[table][key], kind) for key, kind in keys.items() if key in tables[table]}
+        for table, keys in KEYS.items()
+    )
     lens = None
     if "matrix_px" in camera:
-        distortion = _array(camera, "distortion", (5,)) if "distortion" in camera else np.zeros(5)
-        lens = Lens(_array(camera, "matrix_px", (3, 3)), distortion)
-    x, y = _array(tag, "offset_body_m", (2,)) if "offset_body_m" in tag else (0.0, 0.0)
+        lens = Lens(camera["matrix_px"], camera.get("distortion", np.zeros(5)))
+    if "offset_body_m" in tag:
+        tag["offset_body_m"] = tuple(tag["offset_body_m"].tolist())
     return Calibration(
-        (int(image["width_px"]), int(image["height_px"])),
-        (float(pool["length_m"]), float(pool["width_m"])),
-        _array(plane, "homography_m_to_px", (3, 3)),
-        float(plane["height_m"]),
-        float(plane["refraction_offset_m"]),
-        _array(camera, "place_m", (3,)) if "place_m" in camera else None,
+        (image["width_px"], image["height_px"]),
+        (pool["length_m"], pool["width_m"]),
+        plane["homography_m_to_px"],
+        plane["height_m"],
+        plane["refraction_offset_m"],
+        camera.get("place_m"),
         lens,
-        Tag(
-            str(tag["family"]), int(tag["id"]), float(tag["size_m"]), float(tag["height_m"]),
-            float(tag["refraction_offset_m"]), float(tag.get("height_sd_m", Tag.height_sd_m)),
-            float(tag.get("tilt_sd_rad", Tag.tilt_sd_rad)), float(tag.get("mount_heading_rad", 0.0)),
-            (float(x), float(y)),
-        ),
-        str(made["method"]), int(made["points"]), float(made["rms_px"]),
-    )  # fmt: skip
+        Tag(**tag),
+        **made,
+    )

@@ -22,21 +22,16 @@ from frogkick.vision.tracker import Tracker
 
 @dataclass(frozen=True)
 class Place:
-    """A checked place.
+    """A checked place."""
 
-    Attributes:
-        x_m, y_m: true place, pool frame.
-        error_x_mm, error_y_mm: seen minus true; NaN if nothing was seen.
-        heading_error_deg: seen minus true; NaN if unknown.
-        reason: ``found``, or why there is no pose.
-    """
-
+    # x_m, y_m: true place, pool frame
     x_m: float
     y_m: float
+    # error_x_mm, error_y_mm: seen minus true; NaN if nothing was seen
     error_x_mm: float
     error_y_mm: float
-    heading_error_deg: float
-    reason: str
+    heading_error_deg: float  # seen minus true; NaN if unknown
+    reason: str  # ``found``, or why there is no pose
 
     @property
     def error_mm(self) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.core.poses import rotation, wrap_angle
-from frogkick.vision.calibration import Calibration
+from frogkick.vision.calibration import Calibration, Tag
 
 FLOOR_PX = 0.02
 """Smallest standard deviation of a corner, by lens, print and pixels."""
@@ -24,25 +24,18 @@ FLOOR_PX = 0.02
 
 @dataclass(frozen=True)
 class Pose:
-    """A pose of the robot.
+    """A pose of the robot."""
 
-    Attributes:
-        x_m, y_m: pool frame.
-        heading_rad: from +x, counter-clockwise, in (-pi, pi].
-        covariance: (3, 3) of x_m, y_m, heading_rad, by the picture's noise and the tag's height, without the
-            calibration's error.
-        capture_s: capture time on the source's clock.
-        size_m: estimated size of the tag.
-        misfit_px: root mean square distance of the corners from those of the flat square.
-    """
-
+    # x_m, y_m: pool frame
     x_m: float
     y_m: float
-    heading_rad: float
+    heading_rad: float  # from +x, counter-clockwise, in (-pi, pi]
+    # (3, 3) of x_m, y_m, heading_rad, by the picture's noise and the tag's height, without the calibration's
+    # error
     covariance: Float64
-    capture_s: float
-    size_m: float
-    misfit_px: float
+    capture_s: float  # capture time on the source's clock
+    size_m: float  # estimated size of the tag
+    misfit_px: float  # root mean square distance of the corners from those of the flat square
 
 
 def solve_pose(
@@ -76,23 +69,18 @@ def solve_pose(
         return None
     state = np.array([*on_pool.mean(axis=0), np.arctan2(across, along), tag.size_m])
     weight = np.asarray(np.linalg.inv(covariance_px2 + FLOOR_PX**2 * np.eye(8)), dtype=np.float64)
-    for _ in range(4):
-        expected = _corners(calibration, square, state)
-        jacobian = np.empty((8, 4))
-        for k, step in enumerate((1e-4, 1e-4, 1e-3, 1e-4)):
-            moved = state.copy()
-            moved[k] += step
-            jacobian[:, k] = (_corners(calibration, square, moved) - expected) / step
-        information = jacobian.T @ weight @ jacobian
-        state = state + np.linalg.solve(information, jacobian.T @ weight @ (seen_px.ravel() - expected))
-        if not np.isfinite(state).all():
-            return None
-    left = seen_px.ravel() - _corners(calibration, square, state)
+    flat = _fitted(calibration, square, state, seen_px, weight, 4)
+    if flat is None:
+        return None
+    state, _, left = flat
     misfit_px = float(np.sqrt(np.mean(left**2) * 2))
-    found = _with_slopes(calibration, square, state, seen_px, weight)
+    sloped = calibration.camera_m is not None and tag.tilt_sd_rad > 0.0
+    found = _fitted(calibration, square, np.append(state, np.zeros(2 if sloped else 0)), seen_px, weight, 2)
     if found is None:
         return None
-    state, covariance = found
+    state, information, left = found
+    spread = float(left @ weight @ left + state @ (_prior(tag, state) * state)) / 4.0
+    covariance = np.asarray(np.linalg.inv(information)[:3, :3] * max(1.0, spread), dtype=np.float64)
     if calibration.camera_m is not None:
         # A tag that is higher than stated appears farther from the point below the camera.
         above = calibration.camera_m[2] - tag.apparent_height_m
@@ -113,19 +101,22 @@ def solve_pose(
     )
 
 
-def _with_slopes(
-    calibration: Calibration, square: Float64, flat: Float64, seen_px: Float64, weight: Float64
-) -> tuple[Float64, Float64] | None:
-    """(4,) state and (3, 3) covariance with two unknown slopes of the tag; None if the fit diverges.
-
-    Without the camera's position the slopes are 0. Args: square (4, 2) printed corners, flat (4,) state of
-    the flat square, seen_px (4, 2) undistorted, weight (8, 8).
-    """
-    sloped = calibration.camera_m is not None and calibration.tag.tilt_sd_rad > 0.0
-    state = np.concatenate([flat, np.zeros(2 if sloped else 0)])
+def _prior(tag: Tag, state: Float64) -> Float64:
+    """Weights of a prior of calm water: of the slopes, if the state has them."""
     prior = np.zeros(len(state))
-    prior[4:] = 1.0 / max(calibration.tag.tilt_sd_rad, 1e-9) ** 2
-    for _ in range(2):
+    prior[4:] = 1.0 / max(tag.tilt_sd_rad, 1e-9) ** 2
+    return prior
+
+
+def _fitted(
+    calibration: Calibration, square: Float64, state: Float64, seen_px: Float64, weight: Float64, steps: int
+) -> tuple[Float64, Float64, Float64] | None:
+    """State, information matrix and residuals after some Gauss-Newton steps; None if they diverge.
+
+    Args: square (4, 2) printed corners, state see ``_corners``, seen_px (4, 2) undistorted, weight (8, 8).
+    """
+    prior = _prior(calibration.tag, state)
+    for _ in range(steps):
         expected = _corners(calibration, square, state)
         jacobian = np.empty((8, len(state)))
         for k, step in enumerate((1e-4, 1e-4, 1e-3, 1e-4, 1e-3, 1e-3)[: len(state)]):
@@ -137,10 +128,7 @@ def _with_slopes(
         state = state + np.linalg.solve(information, gradient)
         if not np.isfinite(state).all():
             return None
-    left = seen_px.ravel() - _corners(calibration, square, state)
-    spread = float(left @ weight @ left + state @ (prior * state)) / 4.0
-    covariance = np.linalg.inv(information)[:3, :3] * max(1.0, spread)
-    return state[:4], np.asarray(covariance, dtype=np.float64)
+    return state, np.asarray(information), seen_px.ravel() - _corners(calibration, square, state)
 
 
 def _corners(calibration: Calibration, square: Float64, state: Float64) -> Float64:

@@ -22,21 +22,13 @@ Thing = tuple[Float32, float, float, float, float]
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A pinhole camera over the pool.
+    """A pinhole camera over the pool."""
 
-    Attributes:
-        image_px: width, height.
-        matrix_px: (3, 3) camera matrix.
-        rotation: (3, 3) pool to camera: x right, y down, z forward.
-        place_m: (3,) in the pool's frame.
-        distortion: (5,) k1, k2, p1, p2, k3 of OpenCV's model.
-    """
-
-    image_px: tuple[int, int]
-    matrix_px: Float64
-    rotation: Float64
-    place_m: Float64
-    distortion: Float64
+    image_px: tuple[int, int]  # width, height
+    matrix_px: Float64  # (3, 3) camera matrix
+    rotation: Float64  # (3, 3) pool to camera: x right, y down, z forward
+    place_m: Float64  # (3,) in the pool's frame
+    distortion: Float64  # (5,) k1, k2, p1, p2, k3 of OpenCV's model
 
     @property
     def px_per_m(self) -> float:
@@ -94,30 +86,18 @@ def looking_at(
 
 @dataclass(frozen=True)
 class Conditions:
-    """Disturbances of a picture.
+    """Disturbances of a picture."""
 
-    Attributes:
-        blur_px: standard deviation of the lens's blur.
-        noise: standard deviation of each pixel, grey levels of 255.
-        light_slope: relative loss of brightness from the picture's right to its left.
-        glare: number of blobs of sunlight on the water.
-        glare_on_tag: brightness of a blob at the tag's side, 0 to 1.
-        wave_height_m: standard deviation of the tag's heave, which also tilts it.
-        wave_length_m: of the waves; determines the tilt.
-        ripple_px: amplitude of the displacement of the tag's picture by ripples.
-        cover: part of the tag's side that is covered.
-        black, white: grey levels of the tag's ink and paper.
-    """
-
-    blur_px: float = 0.6
-    noise: float = 2.0
-    light_slope: float = 0.2
-    glare: int = 0
-    glare_on_tag: float = 0.0
-    wave_height_m: float = 0.0
-    wave_length_m: float = 0.3
-    ripple_px: float = 0.0
-    cover: float = 0.0
+    blur_px: float = 0.6  # standard deviation of the lens's blur
+    noise: float = 2.0  # standard deviation of each pixel, grey levels of 255
+    light_slope: float = 0.2  # relative loss of brightness from the picture's right to its left
+    glare: int = 0  # number of blobs of sunlight on the water
+    glare_on_tag: float = 0.0  # brightness of a blob at the tag's side, 0 to 1
+    wave_height_m: float = 0.0  # standard deviation of the tag's heave, which also tilts it
+    wave_length_m: float = 0.3  # of the waves; determines the tilt
+    ripple_px: float = 0.0  # amplitude of the displacement of the tag's picture by ripples
+    cover: float = 0.0  # part of the tag's side that is covered
+    # black, white: grey levels of the tag's ink and paper
     black: float = 45.0
     white: float = 200.0
 
@@ -133,25 +113,15 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Scene:
-    """A pool, a camera and a tag.
+    """A pool, a camera and a tag."""
 
-    Attributes:
-        view: the camera.
-        pool_m: length, width.
-        family: of the tag.
-        tag_id: of the tag.
-        tag_size_m: side of the square that is its size (``tag_margin``).
-        tag_height_m: of its face over the still water.
-        conditions: disturbances of the pictures.
-    """
-
-    view: Viewpoint = field(default_factory=looking_at)
-    pool_m: tuple[float, float] = (1.2, 0.9)
-    family: str = "tag36h11"
-    tag_id: int = 0
-    tag_size_m: float = 0.047
-    tag_height_m: float = 0.012
-    conditions: Conditions = field(default_factory=Conditions)
+    view: Viewpoint = field(default_factory=looking_at)  # the camera
+    pool_m: tuple[float, float] = (1.2, 0.9)  # length, width
+    family: str = "tag36h11"  # of the tag
+    tag_id: int = 0  # of the tag
+    tag_size_m: float = 0.047  # side of the square that is its size (``tag_margin``)
+    tag_height_m: float = 0.012  # of its face over the still water
+    conditions: Conditions = field(default_factory=Conditions)  # disturbances of the pictures
 
     def corners_px(self) -> Float64:
         """(4, 2) pixels of the pool's corners: origin, along x, opposite, along y."""

@@ -34,44 +34,26 @@ FREE = 12
 
 @dataclass(frozen=True)
 class Template:
-    """A tag's picture in one blur, prepared for the fit.
+    """A tag's picture in one blur, prepared for the fit."""
 
-    Attributes:
-        side: samples along a side, with the white around.
-        corners: (4, 2) corners of the tag's square in samples, in the picture's order.
-        inside: (side^2,) whether samples count.
-        columns: (side^2, 12) derivatives by the eight corner coordinates, picture, ones, slopes.
-        solve: (12, side^2) its pseudoinverse.
-        matched: (cells, side^2) matched filters of a flip, black to white, of each printed cell.
-        unit_covariance: (8, 8) covariance of the corners for unit noise and unit contrast, samples^2.
-    """
-
-    side: int
-    corners: Float64
-    inside: Bool
-    columns: Float64
-    solve: Float64
-    matched: Float64
-    unit_covariance: Float64
+    side: int  # samples along a side, with the white around
+    corners: Float64  # (4, 2) corners of the tag's square in samples, in the picture's order
+    inside: Bool  # (side^2,) whether samples count
+    columns: Float64  # (side^2, 12) derivatives by the eight corner coordinates, picture, ones, slopes
+    solve: Float64  # (12, side^2) its pseudoinverse
+    matched: Float64  # (cells, side^2) matched filters of a flip, black to white, of each printed cell
+    unit_covariance: Float64  # (8, 8) covariance of the corners for unit noise and unit contrast, samples^2
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted tag.
+    """A fitted tag."""
 
-    Attributes:
-        corners_px: (4, 2) in the picture's order, pixels of the frame.
-        covariance_px2: (8, 8) of the corners x0, y0, x1, ...
-        contrast: white minus black, grey levels.
-        residual: standard deviation of the residuals over the contrast.
-        worst_cell: largest part of a flip of a printed cell: 0 as printed, 1 wrong.
-    """
-
-    corners_px: Float64
-    covariance_px2: Float64
-    contrast: float
-    residual: float
-    worst_cell: float
+    corners_px: Float64  # (4, 2) in the picture's order, pixels of the frame
+    covariance_px2: Float64  # (8, 8) of the corners x0, y0, x1, ...
+    contrast: float  # white minus black, grey levels
+    residual: float  # standard deviation of the residuals over the contrast
+    worst_cell: float  # largest part of a flip of a printed cell: 0 as printed, 1 wrong
 
 
 @cache

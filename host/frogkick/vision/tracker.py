@@ -45,25 +45,15 @@ SMALL_PX = 45.0
 
 @dataclass(frozen=True)
 class Observation:
-    """Result of a frame.
+    """Result of a frame."""
 
-    Attributes:
-        pose: the robot's; None without a tag to be trusted.
-        reason: ``found``, or why there is no pose.
-        capture_s: capture time on the source's clock.
-        latency_s: from the capture to this result; NaN for recorded pictures.
-        corners_px: (4, 2) of the tag, in the printed picture's order; None without a tag.
-        residual: of the fit, over the contrast; NaN without a fit.
-        windowed: whether the tag was found around its last place.
-    """
-
-    pose: Pose | None
-    reason: Reason
-    capture_s: float
-    latency_s: float = float("nan")
-    corners_px: Float64 | None = None
-    residual: float = float("nan")
-    windowed: bool = False
+    pose: Pose | None  # the robot's; None without a tag to be trusted
+    reason: Reason  # ``found``, or why there is no pose
+    capture_s: float  # capture time on the source's clock
+    latency_s: float = float("nan")  # from the capture to this result; NaN for recorded pictures
+    corners_px: Float64 | None = None  # (4, 2) of the tag, in the printed picture's order; None without a tag
+    residual: float = float("nan")  # of the fit, over the contrast; NaN without a fit
+    windowed: bool = False  # whether the tag was found around its last place
 
 
 class Tracker:

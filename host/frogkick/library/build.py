@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.core.arrays import Float32
 from frogkick.core.chunks import WORKERS_MAX, Job, run_chunks
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.version import VERSION
@@ -21,14 +22,7 @@ from frogkick.library.checkpoints import Checkpoints
 from frogkick.library.sampling import sample_starts
 from frogkick.library.starts import Starts, rigid_starts
 from frogkick.library.store import Library, make_library, write_library
-from frogkick.library.transitions import (
-    SAMPLE_S,
-    SampleArray,
-    Task,
-    Transitions,
-    recorded_times,
-    simulate_task,
-)
+from frogkick.library.transitions import SAMPLE_S, Task, Transitions, recorded_times, simulate_task
 from frogkick.library.wear import wear_curves
 from frogkick.robot import Robot
 
@@ -184,12 +178,12 @@ def _simulate_parts(
     return [done[index] for index in range(len(starts.tasks))]
 
 
-def _recorded(robot: Robot, starts: Starts, record_s: float, parts: Checkpoints) -> Iterator[SampleArray]:
+def _recorded(robot: Robot, starts: Starts, record_s: float, parts: Checkpoints) -> Iterator[Float32]:
     """Recorded motions (a, t, 6) of each state."""
     rods = rods_of(robot)
 
     @lru_cache(maxsize=2)  # successive states share a part
-    def of(index: int) -> SampleArray:
+    def of(index: int) -> Float32:
         part = parts.load(index)
         if part is None:  # it was deleted meanwhile
             part = simulate_task(rods, starts.tasks[index], record_s)

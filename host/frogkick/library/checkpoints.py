@@ -10,8 +10,8 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes, write_text
 from frogkick.library.transitions import Failed, Transitions
@@ -96,7 +96,7 @@ class Checkpoints:
             with np.load(content, allow_pickle=False) as part:
                 reasons: list[str] = part["reasons"].tolist()
                 places: list[list[int]] = part["failed"].tolist()
-                rows: NDArray[np.float64] = part["rows"]
+                rows: Float64 = part["rows"]
                 failed = tuple(Failed(s, a, r) for (s, a), r in zip(places, reasons, strict=True))
                 return Transitions(part["velocity"], part["previous"], rows, part["recorded"], failed)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):

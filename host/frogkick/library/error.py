@@ -6,18 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.compiled import kept, stamp_of
 from frogkick.core.poses import wrap_angle
 from frogkick.library.build import sample_library
 from frogkick.library.store import Library
-from frogkick.library.transitions import IntArray
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.robot import Robot
 from frogkick.tables.image import Tables
-
-FloatArray = NDArray[np.float64]
 
 
 def table_error(
@@ -58,11 +55,11 @@ def error_on(tables: Tables, unseen: Library) -> dict[str, float]:
     return rms_gap(found - unseen.rows()[whole])
 
 
-def rms_gap(gap: FloatArray) -> dict[str, float]:
+def rms_gap(gap: Float64) -> dict[str, float]:
     """Root mean square of differences (n, a, 6), by quantity."""
     turn = wrap_angle(gap[..., 2])
 
-    def rms(*columns: FloatArray) -> float:
+    def rms(*columns: Float64) -> float:
         return float(np.sqrt(np.mean(np.sum(np.square(columns), axis=0))))
 
     return {
@@ -73,7 +70,7 @@ def rms_gap(gap: FloatArray) -> dict[str, float]:
     }
 
 
-def looked_up(tables: Tables, velocities: FloatArray, previous: IntArray) -> FloatArray:
+def looked_up(tables: Tables, velocities: Float64, previous: Int64) -> Float64:
     """Transitions that the robot's planner looks up in a table.
 
     Args:

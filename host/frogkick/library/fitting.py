@@ -8,21 +8,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import wrap_angle
 from frogkick.library.error import looked_up, rms_gap
 from frogkick.library.quantise import quantise, table_metadata
 from frogkick.library.store import Library
 from frogkick.library.surface import STATES_MIN, Surface, fit_surface, noise_of
-from frogkick.library.transitions import IntArray
 from frogkick.library.voronoi import VoronoiCells, VoronoiRegression
 from frogkick.tables.image import open_image
 from frogkick.tables.packing import pack_affine, pack_nearest
 from frogkick.tables.sealing import ERROR_MAX
-
-FloatArray = NDArray[np.float64]
 
 KINDS = ("nearest", "affine")
 BUDGET_BYTES = 64 * 1024
@@ -134,7 +131,7 @@ class _Fit:
         self._regressions: dict[tuple[str, int], VoronoiRegression] = {}
 
     @cached_property
-    def _seen(self) -> IntArray:
+    def _seen(self) -> Int64:
         return np.setdiff1d(self._whole, self._held)
 
     @cached_property
@@ -228,7 +225,7 @@ class _Fit:
         return Fitted(image, kind, rms_gap(gap), score)
 
 
-def _between(codes: FloatArray, count: int) -> FloatArray:
+def _between(codes: Float64, count: int) -> Float64:
     """(count, 3) points between states and one of their nearest neighbours each."""
     from scipy.spatial import cKDTree
 

@@ -10,12 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from frogkick.library.transitions import RESTED, IntArray
+from frogkick.core.arrays import Float64, Int64
+from frogkick.library.transitions import RESTED
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 DECAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
@@ -31,11 +29,11 @@ class History:
         gain: what firing adds to a use.
     """
 
-    effect: FloatArray
+    effect: Float64
     decay: float
     gain: float
 
-    def added(self, robot: Robot, previous: IntArray) -> FloatArray:
+    def added(self, robot: Robot, previous: Int64) -> Float64:
         """(n, a, 6) what earlier actions, (n, s) newest first, add to each action."""
         used = limb_use(robot, previous, self.decay, self.gain)
         return np.asarray(np.einsum("nl,alv->nav", used, self.effect))
@@ -46,7 +44,7 @@ def no_history(robot: Robot) -> History:
     return History(np.zeros((len(robot.actions), len(robot.limbs), 6)), 0.0, 0.0)
 
 
-def limb_use(robot: Robot, previous: IntArray, decay: float, gain: float) -> FloatArray:
+def limb_use(robot: Robot, previous: Int64, decay: float, gain: float) -> Float64:
     """(n, limbs) use of each limb, 0 to 1, after (n, s) earlier actions, newest first."""
     masks = [action.first_mask | action.second_mask for action in robot.actions]
     fires = np.array([[mask >> limb & 1 for limb in range(len(robot.limbs))] for mask in [*masks, 0]])
@@ -58,10 +56,10 @@ def limb_use(robot: Robot, previous: IntArray, decay: float, gain: float) -> Flo
 
 def fit_history(
     robot: Robot,
-    rows: FloatArray,
-    previous: IntArray,
-    weight: FloatArray,
-    smoothed: Callable[[FloatArray], FloatArray],
+    rows: Float64,
+    previous: Int64,
+    weight: Float64,
+    smoothed: Callable[[Float64], Float64],
 ) -> History:
     """Estimate the effect of use by partial regression, with the effect of velocity removed.
 

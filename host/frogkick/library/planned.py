@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float32
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import ConvergenceError
 from frogkick.core.poses import wrap_angle
@@ -27,8 +27,6 @@ from frogkick.library.transitions import fire_action, lane_effects, simulate_tas
 from frogkick.planner.plan import config_of, plan_batch
 from frogkick.robot import Robot
 from frogkick.tables.image import Tables, open_image
-
-Float32 = NDArray[np.float32]
 
 _FIRST_TABLE_STATES = 64
 _STROKES = 16  # of a planned swim: as long as the paper's shorter runs

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.library.planned import planned_swims
 from frogkick.library.starts import Starts, VisitedStates, random_swims, rigid_starts
 from frogkick.robot import Robot, mirror_of
-
-FloatArray = NDArray[np.float64]
 
 STATES_MAX = 65535  # a table image counts its states in 16 bits
 SAMPLINGS = ("box", "visited", "planned")
@@ -70,7 +68,7 @@ def sample_starts(
     )
 
 
-def box_velocities(robot: Robot, states: int, seed: int) -> FloatArray:
+def box_velocities(robot: Robot, states: int, seed: int) -> Float64:
     """(states, 3) forward, left (m/s) and turn rate (rad/s), uniform in the library box, in mirror pairs."""
     box = robot.library_box
     low, high = np.array([box.forward_mps, box.left_mps, box.omega_rad_s]).T

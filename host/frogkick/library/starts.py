@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.arrays import AnyArray, Bool, Float64, Int64
 from frogkick.der import WIDTH
-from frogkick.library.transitions import RESTED, BoolArray, Failed, IntArray, Task, Transitions
+from frogkick.library.transitions import RESTED, Failed, Task, Transitions
 from frogkick.robot import Mirror, Robot, mirror_of
-
-FloatArray = NDArray[np.float64]
 
 TASK_ROBOTS = 2 * WIDTH
 """Robots of a task, some 0.4 s of work, for fine progress and a quick end on Ctrl-C."""
@@ -36,9 +34,9 @@ class Starts:
     """
 
     tasks: tuple[Task, ...]
-    part: IntArray
-    row: IntArray
-    mirrored: BoolArray
+    part: Int64
+    row: Int64
+    mirrored: Bool
     mirror: Mirror | None
 
     def __len__(self) -> int:
@@ -50,25 +48,25 @@ class Starts:
             return simulated
         return np.asarray(simulated[list(self.mirror.actions)] * _LEFT.astype(simulated.dtype))
 
-    def velocity_body(self, parts: Sequence[Transitions]) -> FloatArray:
+    def velocity_body(self, parts: Sequence[Transitions]) -> Float64:
         """(n, 3) velocities of all states."""
         found = self._taken([part.velocity_body for part in parts])
         return np.where(self.mirrored[:, None], found * _LEFT[3:], found) + 0.0  # -0.0 is 0.0
 
-    def previous(self, parts: Sequence[Transitions]) -> IntArray:
+    def previous(self, parts: Sequence[Transitions]) -> Int64:
         """(n, HISTORY) earlier actions of all states."""
-        found: IntArray = self._taken([part.previous for part in parts]).astype(np.int64)
+        found: Int64 = self._taken([part.previous for part in parts]).astype(np.int64)
         if self.mirror is not None:
             mirrored = np.array([*self.mirror.actions, RESTED])  # index RESTED is the last entry
             found = np.where(self.mirrored[:, None], mirrored[found], found)
         return found
 
-    def rows(self, parts: Sequence[Transitions]) -> FloatArray:
+    def rows(self, parts: Sequence[Transitions]) -> Float64:
         """(n, a, 6) transitions of all states."""
         found = self._taken([part.rows for part in parts])
         return np.array([self.of(state, row) for state, row in enumerate(found)])
 
-    def _taken(self, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    def _taken(self, values: Sequence[AnyArray]) -> AnyArray:
         first = np.cumsum([0, *(len(rows) for rows in values)])
         return np.concatenate(values)[first[self.part] + self.row]
 
@@ -89,7 +87,7 @@ class Starts:
         return tuple(sorted(found, key=lambda f: (f.state, f.action)))
 
 
-def rigid_starts(robot: Robot, velocities: FloatArray) -> Starts:
+def rigid_starts(robot: Robot, velocities: Float64) -> Starts:
     """States with all limbs at rest and (n, 3) body velocities; one of each mirror pair is simulated."""
     mirror = mirror_of(robot)
     plain = velocities + 0.0

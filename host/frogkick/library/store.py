@@ -10,18 +10,16 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path, existing_file, require_room
 from frogkick.core.version import VERSION
 from frogkick.library.starts import Starts
-from frogkick.library.transitions import HISTORY, RESTED, Failed, IntArray, SampleArray, Transitions
+from frogkick.library.transitions import HISTORY, RESTED, Failed, Transitions
 from frogkick.library.wear import no_curves
 from frogkick.robot import Robot, parse_robot
 from frogkick.tables.layout import WEAR_KNOTS
-
-FloatArray = NDArray[np.float64]
 
 OVERHEAD_BYTES, STEP_BYTES, SAMPLE_BYTES = 65536, 64, 24
 """Bytes of the file: tables of contents, a transition, a recorded pose with velocity."""
@@ -74,12 +72,12 @@ class Library:
     seed: int
     frogkick_version: str
     period_s: float
-    initial_velocity_body: FloatArray
-    displacement_body: FloatArray
-    velocity_body_end: FloatArray
-    previous_actions: IntArray
+    initial_velocity_body: Float64
+    displacement_body: Float64
+    velocity_body_end: Float64
+    previous_actions: Int64
     failed: tuple[Failed, ...] = ()
-    limb_wear: FloatArray = field(default_factory=no_curves)
+    limb_wear: Float64 = field(default_factory=no_curves)
     folder: Path | None = None
 
     def __repr__(self) -> str:
@@ -101,11 +99,11 @@ class Library:
         """Whether limbs were used before any of the states."""
         return bool((self.previous_actions != RESTED).any())
 
-    def rows(self) -> FloatArray:
+    def rows(self) -> Float64:
         """(n, a, 6) displacements and velocities at the end, side by side."""
         return np.concatenate([self.displacement_body, self.velocity_body_end], axis=2)
 
-    def whole_states(self) -> NDArray[np.bool_]:
+    def whole_states(self) -> Bool:
         """(n,) whether all actions of a state could be simulated."""
         whole = np.ones(len(self.initial_velocity_body), dtype=bool)
         whole[[failure.state for failure in self.failed]] = False
@@ -130,15 +128,15 @@ class Library:
 class Recorded:
     """Motion within each transition: (s,) times after its start, (n, a, s, 6) poses and velocities."""
 
-    time_s: FloatArray
-    motion: SampleArray
+    time_s: Float64
+    motion: Float32
 
 
 def write_library(
     library: Library,
     out: Path | str,
-    recorded_time_s: FloatArray | None = None,
-    recorded: Iterable[SampleArray] = (),
+    recorded_time_s: Float64 | None = None,
+    recorded: Iterable[Float32] = (),
 ) -> None:
     """Write a library, completely or not at all; equal libraries give equal bytes.
 
@@ -312,9 +310,9 @@ def library_of(
     robot: Robot,
     sampling: str,
     seed: int,
-    initial: FloatArray,
-    rows: FloatArray,
-    previous: IntArray,
+    initial: Float64,
+    rows: Float64,
+    previous: Int64,
     failed: tuple[Failed, ...] = (),
 ) -> Library:
     """A library of (n, a, 6) transitions from (n, 3) velocities after (n, HISTORY) actions."""

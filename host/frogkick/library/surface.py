@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.library.history import History, fit_history
-from frogkick.library.transitions import IntArray
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 NEIGHBOURS = 40
 """Neighbours in a local regression: four for each coefficient of a quadratic."""
@@ -29,7 +26,7 @@ where strokes depend on more than the table's variables."""
 _WORSE_MOST = 1.1  # the larger ridge is taken up to this factor on squared leave-one-out errors
 
 
-def noise_of(robot: Robot) -> FloatArray:
+def noise_of(robot: Robot) -> Float64:
     """(6,) units of the errors of a transition's values: the noise of the position measurement.
 
     0.2 mm and 0.2 degrees at the period's end, and for velocities what moves the robot as far in a period.
@@ -57,23 +54,23 @@ class Surface:
     """
 
     robot: Robot
-    codes: FloatArray
-    values: FloatArray
+    codes: Float64
+    values: Float64
     history: History
     tree: Any
     ridge: float
 
-    def at(self, codes: FloatArray) -> FloatArray:
+    def at(self, codes: Float64) -> Float64:
         """(m, a, 6) transitions from (m, 3) velocities in codes, limbs rested."""
         found = _local(self.tree, self.codes, self.values, codes, self.ridge, skip=0)
         return found.reshape(len(codes), -1, 6)
 
-    def predicted(self, codes: FloatArray, previous: IntArray) -> FloatArray:
+    def predicted(self, codes: Float64, previous: Int64) -> Float64:
         """(m, a, 6) transitions from (m, 3) velocities in codes after (m, s) earlier actions."""
         return self.at(codes) + self.history.added(self.robot, previous)
 
 
-def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous: IntArray) -> Surface:
+def fit_surface(robot: Robot, velocities: Float64, rows: Float64, previous: Int64) -> Surface:
     """Fit a library's complete states.
 
     Args:
@@ -97,7 +94,7 @@ def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous
     tried: list[tuple[float, Surface]] = []
     for ridge in RIDGES:
 
-        def smoothed(values: FloatArray, ridge: float = ridge) -> FloatArray:
+        def smoothed(values: Float64, ridge: float = ridge) -> Float64:
             return _local(tree, codes, values, codes, ridge, skip=1)
 
         history = fit_history(robot, rows, previous, noise, smoothed)
@@ -108,9 +105,7 @@ def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous
     return next(surface for missed, surface in tried if missed <= _WORSE_MOST * least)
 
 
-def _local(
-    tree: Any, codes: FloatArray, values: FloatArray, at: FloatArray, ridge: float, skip: int
-) -> FloatArray:
+def _local(tree: Any, codes: Float64, values: Float64, at: Float64, ridge: float, skip: int) -> Float64:
     """(m, c) local quadratics at (m, 3) points from their NEIGHBOURS nearest states, without the ``skip``
     nearest.
 

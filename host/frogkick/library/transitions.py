@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float32, Float64, Int64
 from frogkick.core.errors import ConvergenceError
 from frogkick.core.poses import relative
 from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
@@ -15,11 +15,6 @@ from frogkick.der.strokes import interpolate
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, Effect, body_effects
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
-SampleArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SAMPLE_S = 0.05  # spacing of recorded poses: a cubic between them errs by 0.02 mm
 HISTORY = 8
@@ -39,9 +34,9 @@ class Task:
         wanted: (k, s + 1) whether transitions start before that action of the swim, or after the last.
     """
 
-    velocity_body: FloatArray
-    actions: IntArray
-    wanted: BoolArray
+    velocity_body: Float64
+    actions: Int64
+    wanted: Bool
 
     def __len__(self) -> int:
         return int(self.wanted.sum())
@@ -69,20 +64,20 @@ class Transitions:
         failed: failed transitions; states counted from 0.
     """
 
-    velocity_body: FloatArray
-    previous: IntArray
-    rows: FloatArray
-    recorded: SampleArray
+    velocity_body: Float64
+    previous: Int64
+    rows: Float64
+    recorded: Float32
     failed: tuple[Failed, ...]
 
 
-def recorded_times(robot: Robot, record_s: float) -> FloatArray:
+def recorded_times(robot: Robot, record_s: float) -> Float64:
     """(t,) multiples of SAMPLE_S up to ``record_s``; none up to the period."""
     count = int(record_s / SAMPLE_S + 1e-9) if record_s > robot.period_s else 0
     return np.asarray(SAMPLE_S * np.arange(1, count + 1), dtype=np.float64)
 
 
-def previous_actions(actions: IntArray, stroke: int) -> IntArray:
+def previous_actions(actions: Int64, stroke: int) -> Int64:
     """(HISTORY,) newest first, the actions before a stroke of a swim, then RESTED."""
     found = np.full(HISTORY, RESTED, dtype=np.int64)
     newest = actions[:stroke][::-1][:HISTORY]
@@ -169,10 +164,10 @@ def _branch(
     robot: Robot,
     batch: Batch,
     acting: ActingLanes,
-    origin: FloatArray,
+    origin: Float64,
     pairs: Sequence[tuple[int, int]],
-    times_s: FloatArray,
-) -> list[tuple[FloatArray, FloatArray] | str]:
+    times_s: Float64,
+) -> list[tuple[Float64, Float64] | str]:
     """Simulate an action in each of at most WIDTH copies of lanes; ``pairs`` are lane and action.
 
     Returns:
@@ -188,7 +183,7 @@ def _branch(
         fire_action(robot, twin, twin_acting, lane, action, began_s)
     before = twin.motion_world()
     legs = [twin_acting.advance(twin, began_s + end, trace=True) for end in ends]
-    found: list[tuple[FloatArray, FloatArray] | str] = []
+    found: list[tuple[Float64, Float64] | str] = []
     for lane, (source, _) in enumerate(pairs):
         if lane in twin.failures:
             found.append(str(twin.failures[lane]))

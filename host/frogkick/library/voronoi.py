@@ -11,10 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from frogkick.core.arrays import Float64, Int64
 
 _SPLIT_SHARE = 0.25  # of the cells at once, while there are few
 _MOVES = 2  # to the means after each split
@@ -34,18 +32,18 @@ class VoronoiCells:
         reach: (3,) largest distance of a sample from its state, in codes.
     """
 
-    codes: FloatArray
-    base: FloatArray
-    slope: FloatArray
-    error: FloatArray
-    label: IntArray
-    reach: FloatArray
+    codes: Float64
+    base: Float64
+    slope: Float64
+    error: Float64
+    label: Int64
+    reach: Float64
 
 
 class VoronoiRegression:
     """Regression of some values over velocity, on a given number of Voronoi cells."""
 
-    def __init__(self, codes: FloatArray, values: FloatArray, weight: FloatArray, linear: bool) -> None:
+    def __init__(self, codes: Float64, values: Float64, weight: Float64, linear: bool) -> None:
         """Take samples.
 
         Args:
@@ -68,7 +66,7 @@ class VoronoiRegression:
         self._rest = values - self._trend_at(codes)
         self._grown = [middle[None]]
 
-    def _trend_at(self, codes: FloatArray) -> FloatArray:
+    def _trend_at(self, codes: Float64) -> Float64:
         return np.asarray(self._trend[0] + (codes - self._middle) @ self._trend[1:])
 
     def cells(self, count: int) -> VoronoiCells:
@@ -85,7 +83,7 @@ class VoronoiRegression:
                 self._grown.append(states)
         return self._fitted(np.unique(np.round(states), axis=0))
 
-    def _split(self, states: FloatArray, more: int) -> FloatArray:
+    def _split(self, states: Float64, more: int) -> Float64:
         """Split the ``more`` cells with the largest error, then move all states towards their means."""
         from scipy.spatial import cKDTree
 
@@ -111,7 +109,7 @@ class VoronoiRegression:
             divided = np.where(count[:, None] > 0, means, divided)
         return divided
 
-    def _fitted(self, states: FloatArray) -> VoronoiCells:
+    def _fitted(self, states: Float64) -> VoronoiCells:
         """Least squares in each cell; empty cells have the global trend."""
         from scipy.spatial import cKDTree
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.der import Rods
 from frogkick.effects.base import Effect, History, Stroke
 from frogkick.library.surface import noise_of
 from frogkick.library.transitions import Task, simulate_task
 from frogkick.tables.layout import WEAR_KNOTS
-
-FloatArray = NDArray[np.float64]
 
 GAINS = (0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 """Shares of the measured stroke that are simulated."""
@@ -39,12 +37,12 @@ class _Weakened(Effect):
         return stroke
 
 
-def no_curves() -> FloatArray:
+def no_curves() -> Float64:
     """The curves of a library that has none."""
     return np.zeros((0, WEAR_KNOTS, 6))
 
 
-def wear_curves(rods: Rods, velocity_body: FloatArray) -> FloatArray:
+def wear_curves(rods: Rods, velocity_body: Float64) -> Float64:
     """The wear curve of each limb.
 
     Args:
@@ -79,7 +77,7 @@ def wear_curves(rods: Rods, velocity_body: FloatArray) -> FloatArray:
     return found
 
 
-def _by_loss(change: FloatArray) -> FloatArray:
+def _by_loss(change: Float64) -> Float64:
     """(WEAR_KNOTS, 6) changes (g, 6) of weaker and weaker strokes by the share of the last one that is lost.
 
     A share is the projection on what a lost limb changes: it grows evenly, so an estimate of it converges,

@@ -4,28 +4,33 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.core.arrays import AnyArray, Float32, Int16, Int32, Int64
+from frogkick.core.arrays import Float32, Int16, Int32, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.tables import coding, layout
-from frogkick.tables.fields import (
+from frogkick.tables.checks import (
     AGAIN,
     ActionRow,
+    Columns,
     TableError,
     action_rows_of,
-    require,
+    columns_of,
+    identified,
+    laid_out,
     require_codes,
     require_counts,
+    require_numbers,
     require_times,
+    require_usable,
     robot_id_of,
 )
-from frogkick.tables.header import Columns, Header, columns_of, identified, laid_out, require_numbers
 
 __all__ = ["ActionRow", "TableError", "Tables", "open_image", "read_image"]
 
@@ -88,6 +93,13 @@ class Tables:
     block_levels: int
     lost: Int64
 
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if isinstance(array := getattr(self, field.name), np.ndarray):
+                array = np.ascontiguousarray(array)
+                array.setflags(write=False)
+                object.__setattr__(self, field.name, array)
+
     @property
     def format_version(self) -> int:
         """Of the image."""
@@ -129,7 +141,7 @@ class Tables:
 
     def worn(self, lost: npt.ArrayLike) -> Tables:
         """The table of a robot whose limbs have lost (l,) shares, 0 to 32767."""
-        return replace(self, lost=_frozen(np.array(lost, dtype=np.int64)[: self.limbs]))
+        return replace(self, lost=np.array(lost, dtype=np.int64)[: self.limbs])
 
     def called(self, names: Sequence[str]) -> Tables:
         """The table with the robot's names of the actions, which may be longer than the image's."""
@@ -173,13 +185,10 @@ def open_image(image: bytes) -> Tables:
     kind = head.kind
     require_counts(head.states, head.actions, head.limbs, f"the table image is wrong, {AGAIN}")
     right = laid_out(head)
-    robot_id = robot_id_of(head.robot)
+    robot_id = robot_id_of(head.robot_id)
     require_times(head.period_us, head.pulse_us, head.second_delay_us)
     require_numbers(head)
-    require(
-        not any(image[170:172]),
-        f"table image has a reserved byte that is not zero: {AGAIN}",
-    )
+    require_usable(head.zero == 0, "table image has a reserved byte that is not zero")
     actions = action_rows_of(image[right.actions : right.columns], head.limbs)
     columns = columns_of(image, head, right)
     wear = np.frombuffer(image[right.wear : right.splits], "<i2")
@@ -192,23 +201,20 @@ def open_image(image: bytes) -> Tables:
         (right.states, 6 * head.states, right.transitions),
         (right.transitions, head.row_bytes * head.states, right.length),
     ):
-        require(
-            not any(image[start + used : end]),
-            f"table image has a padding byte that is not zero: {AGAIN}",
-        )
+        require_usable(not any(image[start + used : end]), "table image has a padding byte that is not zero")
     coefficients = np.frombuffer(image[right.models : right.states], "<i2").astype(np.int64)
-    sums = np.abs(coefficients.reshape(-1, layout.COEFFICIENTS)).sum(axis=1)
-    require(
-        int(sums.max(initial=0)) <= layout.COEFFICIENT_SUM_MAX,
-        f"table image has coefficients that sum to {sums.max(initial=0)}, allowed is 131071: {AGAIN}",
+    most = np.abs(coefficients.reshape(-1, layout.COEFFICIENTS)).sum(axis=1).max(initial=0)
+    good = int(most) <= layout.COEFFICIENT_SUM_MAX
+    require_usable(
+        good, f"table image has coefficients that sum to {most}, allowed is {layout.COEFFICIENT_SUM_MAX}"
     )
     if kind == layout.KIND_AFFINE:
         _require_affine(columns)
     require_codes("states", codes, [layout.VELOCITY_CODE_MAX >> up for up in head.up])
     axes = layout.axes_of(head.axes, head.tree_levels)
-    require(3 not in axes, f"table image's search tree has a level without an axis: {AGAIN}")
+    require_usable(3 not in axes, "table image's search tree has a level without an axis")
     wrong = layout.kd_violation(codes, splits, axes)
-    require(wrong is None, f"table image's state {wrong} breaks the k-d order: {AGAIN}")
+    require_usable(wrong is None, f"table image's state {wrong} breaks the k-d order")
 
     residuals = coding.take_residuals(image[right.transitions :], head.states, head.row_bytes, columns.bits)
     residuals = residuals.reshape(head.states, head.actions, 6, -1)
@@ -229,22 +235,22 @@ def open_image(image: bytes) -> Tables:
         second_delay_us=head.second_delay_us,
         limbs=head.limbs,
         actions=actions,
-        velocity_scale=_frozen(np.array(head.velocity_scale, dtype=np.float32)),
-        motion_scale=_frozen(np.array(head.motion_scale, dtype=np.float32)),
-        motion_limit=_frozen(np.array(head.motion_limit, dtype=np.int64)),
-        states=_frozen(codes.astype(np.int16)),
-        transitions=_frozen(transitions.astype(np.int32)),
-        derivatives=_frozen(derivatives.astype(np.int32)),
-        correction_shift=_frozen(np.array(head.shift, dtype=np.int64)),
-        offset_limit=_frozen(np.array(head.offset_limit, dtype=np.int64)),
-        history=_frozen(history.astype(np.int32)),
-        use_decay=head.use_decay,
-        use_gain=head.use_gain,
-        residual_codes=_frozen(np.array(head.unit, dtype=np.int64)),
-        limb_wear=_frozen(wear.reshape(head.limbs, head.wear_knots, 6).astype(np.int32)),
+        velocity_scale=np.array(head.velocity_scale, dtype=np.float32),
+        motion_scale=np.array(head.motion_scale, dtype=np.float32),
+        motion_limit=np.array(head.motion_limit, dtype=np.int64),
+        states=codes.astype(np.int16),
+        transitions=transitions.astype(np.int32),
+        derivatives=derivatives.astype(np.int32),
+        correction_shift=np.array(head.shift, dtype=np.int64),
+        offset_limit=np.array(head.offset_limit, dtype=np.int64),
+        history=history.astype(np.int32),
+        use_decay=head.use[0],
+        use_gain=head.use[1],
+        residual_codes=np.array(head.unit, dtype=np.int64),
+        limb_wear=wear.reshape(head.limbs, head.wear_knots, 6).astype(np.int32),
         sections=right,
         block_levels=head.block_levels,
-        lost=_frozen(np.zeros(head.limbs, dtype=np.int64)),
+        lost=np.zeros(head.limbs, dtype=np.int64),
     )
 
 
@@ -257,10 +263,10 @@ def _require_affine(columns: Columns) -> None:
         and int(columns.history.min()) >= -32767
         and int(np.abs(columns.history).sum(axis=2).max()) <= layout.HISTORY_SUM_MAX
     )
-    require(good, f"table image has a least value, derivative or history out of range: {AGAIN}")
+    require_usable(good, "table image has a least value, derivative or history out of range")
 
 
-def _predicted(head: Header, model: Int64, codes: Int16, residuals: Int64) -> Int64:
+def _predicted(head: Any, model: Int64, codes: Int16, residuals: Int64) -> Int64:
     """Transitions of kind nearest: (n, a, 6) predictions and residuals, clamped."""
     coefficients = model.reshape(2**head.block_levels, -1, layout.COEFFICIENTS)
     factors = coding.products(codes, np.array(head.up))
@@ -274,9 +280,3 @@ def _predicted(head: Header, model: Int64, codes: Int16, residuals: Int64) -> In
     values += residuals * np.array(head.unit)
     limit = np.array([*head.motion_limit, *[layout.VELOCITY_CODE_MAX] * 3])
     return np.clip(values, -limit, limit)
-
-
-def _frozen(array: AnyArray) -> AnyArray:
-    array = np.ascontiguousarray(array)
-    array.setflags(write=False)
-    return array

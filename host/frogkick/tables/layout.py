@@ -76,9 +76,9 @@ one, the change is linear. Those of all limbs that fire are added before a value
 
 from __future__ import annotations
 
-import struct
+from collections import namedtuple
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -131,8 +131,31 @@ USE_SHIFT = 15
 
 COLUMN = np.dtype([("at", "<u2"), ("bits", "u1"), ("zero", "u1")])
 
-HEADER = struct.Struct("<4sHHII16s32sIIHBBIII3f3fIIIIHBB3H3H6B6H3BBHH2xI")
-assert HEADER.size == HEADER_BYTES
+HEADER = np.dtype(
+    [
+        ("magic", "S4"), ("format_version", "<u2"), ("kind", "<u2"), ("length", "<u4"), ("crc32", "<u4"),
+        ("robot_id", "V16"), ("provenance", "V32"), ("period_us", "<u4"), ("pulse_us", "<u4"),
+        ("states", "<u2"), ("actions", "u1"), ("limbs", "u1"),
+        ("actions_at", "<u4"), ("states_at", "<u4"), ("transitions_at", "<u4"),
+        ("velocity_scale", "<f4", 3), ("motion_scale", "<f4", 3), ("second_delay_us", "<u4"),
+        ("columns_at", "<u4"), ("splits_at", "<u4"), ("models_at", "<u4"),
+        ("row_bytes", "<u2"), ("tree_levels", "u1"), ("block_levels", "u1"),
+        ("motion_limit", "<u2", 3), ("offset_limit", "<u2", 3), ("shift", "u1", 6), ("unit", "<u2", 6),
+        ("up", "u1", 3), ("wear_knots", "u1"), ("use", "<u2", 2), ("zero", "<u2"), ("axes", "<u4"),
+    ]
+)  # fmt: skip
+"""The header's fields in order: reading, checking and writing follow from this table."""
+assert HEADER.itemsize == HEADER_BYTES
+
+_typed_by_name: Any = namedtuple
+Header = _typed_by_name("Header", HEADER.names)
+"""A header's values by the names in HEADER; several are a list."""
+
+
+def header_of(image: bytes) -> Any:
+    """The Header at the start of an image."""
+    values = np.frombuffer(image, HEADER, 1)[0].item()
+    return Header(*(value.tolist() if isinstance(value, np.ndarray) else value for value in values))
 
 
 class Sections(NamedTuple):
@@ -154,26 +177,18 @@ def affine_column(limbs: int) -> np.dtype[np.void]:
     return np.dtype([("least", "<i2", (4,)), ("history", "<i2", (kept,))])
 
 
-def sections(
-    kind: int,
-    states: int,
-    actions: int,
-    limbs: int,
-    tree_levels: int,
-    block_levels: int,
-    row_bytes: int,
-    wear_knots: int,
-) -> Sections:
-    """Return where each section of an image with these counts stands."""
-    columns = HEADER_BYTES + 4 * actions
-    column = affine_column(limbs) if kind == KIND_AFFINE else COLUMN
-    wear = columns + actions * 6 * column.itemsize
-    splits = wear + 12 * limbs * wear_knots
-    models = _to_four(splits + 2 * (2**tree_levels - 1))
-    coefficients = 0 if kind == KIND_AFFINE else 2**block_levels * actions * 6 * COEFFICIENTS
+def sections(head: Any) -> Sections:
+    """Where each section of an image stands by the counts in its Header."""
+    affine = head.kind == KIND_AFFINE
+    columns = HEADER_BYTES + 4 * head.actions
+    column = affine_column(head.limbs) if affine else COLUMN
+    wear = columns + head.actions * 6 * column.itemsize
+    splits = wear + 12 * head.limbs * head.wear_knots
+    models = _to_four(splits + 2 * (2**head.tree_levels - 1))
+    coefficients = 0 if affine else 2**head.block_levels * head.actions * 6 * COEFFICIENTS
     states_at = models + 2 * coefficients
-    transitions = _to_four(states_at + 6 * states)
-    length = _to_four(transitions + row_bytes * states + 3)
+    transitions = _to_four(states_at + 6 * head.states)
+    length = _to_four(transitions + head.row_bytes * head.states + 3)
     return Sections(HEADER_BYTES, columns, wear, splits, models, states_at, transitions, length)
 
 

@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from frogkick.core.arrays import AnyArray, Float64, Int16, Int64
 from frogkick.tables import layout
-from frogkick.tables.fields import require
-from frogkick.tables.prediction import best_prediction
+from frogkick.tables.checks import require
+from frogkick.tables.coding import best_prediction, bits_for
 from frogkick.tables.sealing import (
     ERROR_MAX,
-    Coded,
     Metadata,
     require_shapes,
     scales_of,
@@ -21,7 +20,6 @@ from frogkick.tables.sealing import (
     velocity_codes,
 )
 
-_NONE = np.zeros(3, dtype=np.int64)
 _DERIVATIVE_MAX = 32000.0  # the least and any residual of 7 bits stay within 16 bits
 _DERIVATIVE_SPREAD = 126.0  # rounding adds at most one
 _VALUE_SPREAD = 2046.0
@@ -78,22 +76,25 @@ def pack_nearest(
     )
     chosen = best_prediction(codes[order], wanted[order].reshape(states, -1), np.tile(unit, actions))
     decoded = chosen.decoded.reshape(states, actions, 6)
+    bits = bits_for(chosen.residuals.max(axis=0))
+    columns = np.zeros(len(bits), dtype=layout.COLUMN)
+    columns["at"], columns["bits"] = np.cumsum(bits) - bits, bits
     return sealed(
         about,
-        Coded(
-            codes=codes[order],
-            axes=axes,
-            residuals=chosen.residuals,
-            motion_scale=motion_scale,
-            motion_limit=np.abs(decoded[..., :3]).max(axis=(0, 1)),
-            shift=chosen.shift[:6],
-            unit=unit,
-            up=chosen.up,
-            offset_limit=_NONE,
-            coefficients=chosen.coefficients.astype("<i2").tobytes(),
-            block_levels=chosen.levels,
-            limb_wear=np.asarray(limb_wear, dtype=np.float64),
-        ),
+        layout.KIND_NEAREST,
+        codes[order],
+        axes,
+        chosen.residuals,
+        bits,
+        columns.tobytes(),
+        limb_wear,
+        chosen.coefficients.astype("<i2").tobytes(),
+        motion_scale=motion_scale,
+        motion_limit=np.abs(decoded[..., :3]).max(axis=(0, 1)),
+        shift=chosen.shift[:6],
+        unit=unit,
+        up=chosen.up,
+        block_levels=chosen.levels,
     )
 
 
@@ -177,23 +178,25 @@ def pack_affine(
     residuals = parts - least
     least[..., 3] *= unit
     require(int(np.abs(least).max()) <= 32767, "base is beyond 32767 codes: choose a coarser scale")
+    columns = np.zeros(6 * actions, dtype=layout.affine_column(about.limbs))
+    columns["least"] = least.reshape(-1, 4)
+    added = np.moveaxis(_history(used / scale), 1, 2).reshape(-1, about.limbs)
+    columns["history"][:, : about.limbs] = added
     return sealed(
         about,
-        Coded(
-            codes=codes,
-            axes=axes,
-            residuals=residuals.reshape(states, -1),
-            motion_scale=motion_scale,
-            motion_limit=np.ceil(reach / scale[:3]).astype(np.int64),
-            shift=slope[0],
-            unit=unit,
-            up=_NONE,
-            offset_limit=limit,
-            least=least,
-            history=_history(used / scale),
-            use=(decay, gain),
-            limb_wear=np.asarray(limb_wear, dtype=np.float64),
-        ),
+        layout.KIND_AFFINE,
+        codes,
+        axes,
+        residuals.reshape(states, -1),
+        np.tile(layout.AFFINE_BITS, 6 * actions).astype(np.int64),
+        columns.tobytes(),
+        limb_wear,
+        motion_scale=motion_scale,
+        motion_limit=np.ceil(reach / scale[:3]).astype(np.int64),
+        shift=slope[0],
+        unit=unit,
+        offset_limit=limit,
+        use=(decay, gain),
     )
 
 

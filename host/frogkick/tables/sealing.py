@@ -5,12 +5,14 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from frogkick.core.arrays import Float32, Float64, Int16, Int64
 from frogkick.tables import coding, layout
-from frogkick.tables.fields import (
+from frogkick.tables.checks import (
     TableError,
     action_bytes,
     action_rows_of,
@@ -75,59 +77,6 @@ class Metadata:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Coded:
-    """The numbers of an image; for the fields see layout.py.
-
-    Attributes:
-        codes: (n, 3) states in k-d order.
-        axes: of the search tree's levels.
-        residuals: (n, c) unsigned.
-        coefficients: kind nearest: the models' section.
-        least, history: kind affine: (a, 6, 4) of three derivatives and the value, (a, l, 6).
-        motion_scale: (3,) float32.
-        motion_limit: (3,) largest code that a look-up gives, clipped to 32767.
-        shift, unit: (6,).
-        up, offset_limit: (3,).
-        limb_wear: (l, k, 6) in SI; empty: no curves.
-        block_levels: 0 for kind affine.
-        use: decay and gain.
-    """
-
-    codes: Int16
-    axes: tuple[int, ...]
-    residuals: Int64
-    motion_scale: Float32
-    motion_limit: Int64
-    shift: Int64
-    unit: Int64
-    up: Int64
-    offset_limit: Int64
-    limb_wear: Float64
-    coefficients: bytes = b""
-    block_levels: int = 0
-    least: Int64 | None = None
-    history: Int64 | None = None
-    use: tuple[int, int] = (0, 0)
-
-    @property
-    def kind(self) -> int:
-        """layout.KIND_NEAREST or KIND_AFFINE."""
-        return layout.KIND_NEAREST if self.least is None else layout.KIND_AFFINE
-
-    def columns(self, bits: Int64) -> bytes:
-        """The columns' section, given the bits of each residual (c,)."""
-        if self.least is None or self.history is None:
-            plain = np.zeros(len(bits), dtype=layout.COLUMN)
-            plain["at"], plain["bits"] = np.cumsum(bits) - bits, bits
-            return plain.tobytes()
-        limbs = self.history.shape[1]
-        columns = np.zeros(len(bits) // 4, dtype=layout.affine_column(limbs))
-        columns["least"] = self.least.reshape(-1, 4)
-        columns["history"][:, :limbs] = np.moveaxis(self.history, 1, 2).reshape(-1, limbs)
-        return columns.tobytes()
-
-
 def require_shapes(**arrays: tuple[Float64, tuple[int, ...]]) -> None:
     """Raise TableError for an array that does not have the shape beside it."""
     for name, (array, shape) in arrays.items():
@@ -170,64 +119,85 @@ def scales_of(motion: Float64, about: Metadata, error_max: Sequence[float]) -> t
     return scale, unit.astype(np.int64)
 
 
-def sealed(about: Metadata, coded: Coded) -> bytes:
+def sealed(
+    about: Metadata,
+    kind: int,
+    codes: Int16,
+    axes: tuple[int, ...],
+    residuals: Int64,
+    bits: Int64,
+    columns: bytes,
+    limb_wear: npt.ArrayLike,
+    models: bytes = b"",
+    **numbers: Any,
+) -> bytes:
     """Join the sections and add the header with its CRC.
 
+    Args:
+        about: robot, provenance, times and actions.
+        kind: layout.KIND_NEAREST or KIND_AFFINE.
+        codes: (n, 3) states in k-d order.
+        axes: of the search tree's levels.
+        residuals: (n, c) unsigned, of ``bits`` (c,).
+        columns, models: these sections.
+        limb_wear: (l, k, 6) in SI; empty: no curves.
+        numbers: further fields of layout.HEADER, zero where none is given.
+
     Raises:
-        TableError: a residual of more than 16 bits.
+        TableError: a residual of more bits than it has.
     """
-    states, actions, levels = len(coded.codes), len(about.action_rows), len(coded.axes)
-    bits = coding.bits_for(coded.residuals.max(axis=0))
-    if coded.kind == layout.KIND_AFFINE:
-        bits = np.tile(layout.AFFINE_BITS, 6 * actions).astype(np.int64)
-    fits = coded.residuals.max(axis=0) < 1 << np.minimum(bits, layout.BITS_MAX)
+    fits = residuals.max(axis=0) < 1 << np.minimum(bits, layout.BITS_MAX)
     require(bool(fits.all()), "a residual needs more bits than it has: choose a coarser error_max")
-    row_bytes = (int(bits.sum()) + 7) // 8
-    knots, wear = _wear_codes(about, coded)
-    right = layout.sections(
-        coded.kind, states, actions, about.limbs, levels, coded.block_levels, row_bytes, knots
-    )
+    scale = np.concatenate([numbers["motion_scale"], about.velocity_scale]).astype(np.float64)
+    knots, wear = _wear_codes(np.asarray(limb_wear, dtype=np.float64), about.limbs, scale)
+    record = np.zeros(1, dtype=layout.HEADER)
+    numbers |= {
+        "magic": layout.MAGIC,
+        "format_version": layout.FORMAT_VERSION if knots else layout.FORMAT_PLAIN,
+        "kind": kind,
+        "robot_id": about.robot_id.encode("utf-8"),
+        "states": len(codes),
+        "actions": len(about.action_rows),
+        "row_bytes": (int(bits.sum()) + 7) // 8,
+        "tree_levels": len(axes),
+        "motion_limit": np.clip(numbers["motion_limit"], 1, layout.MOTION_CODE_MAX),
+        "wear_knots": knots,
+        "axes": layout.axes_word(axes),
+    }
+    for name in ("provenance", "period_us", "pulse_us", "second_delay_us", "limbs", "velocity_scale"):
+        numbers[name] = getattr(about, name)
+    for name, value in numbers.items():
+        record[name] = value
+    right = layout.sections(layout.header_of(record.tobytes()))
+    for name, at in right._asdict().items():
+        if name != "wear":
+            record[name if name == "length" else f"{name}_at"] = at
     body = b""
     for section, end in (
         (b"".join(action_bytes(row) for row in about.action_rows), right.columns),
-        (coded.columns(bits), right.wear),
+        (columns, right.wear),
         (wear, right.splits),
-        (layout.kd_splits(coded.codes, coded.axes).astype("<i2").tobytes(), right.models),
-        (coded.coefficients, right.states),
-        (coded.codes.astype("<i2").tobytes(), right.transitions),
-        (coding.put_residuals(coded.residuals, bits), right.length),
+        (layout.kd_splits(codes, axes).astype("<i2").tobytes(), right.models),
+        (models, right.states),
+        (codes.astype("<i2").tobytes(), right.transitions),
+        (coding.put_residuals(residuals, bits), right.length),
     ):
         body = (body + section).ljust(end - layout.HEADER_BYTES, b"\0")
-    limit = np.clip(coded.motion_limit, 1, layout.MOTION_CODE_MAX)
-    numbers = np.concatenate([limit, coded.offset_limit, coded.shift, coded.unit, coded.up]).tolist()
-
-    def header(crc: int) -> bytes:
-        return layout.HEADER.pack(
-            layout.MAGIC, layout.FORMAT_VERSION if knots else layout.FORMAT_PLAIN, coded.kind,
-            right.length, crc,
-            about.robot_id.encode("utf-8"), about.provenance, about.period_us, about.pulse_us,
-            states, actions, about.limbs, right.actions, right.states, right.transitions,
-            *about.velocity_scale.tolist(), *coded.motion_scale.tolist(), about.second_delay_us,
-            right.columns, right.splits, right.models, row_bytes, levels, coded.block_levels,
-            *numbers, knots, *coded.use, layout.axes_word(coded.axes),
-        )  # fmt: skip
-
-    crc = zlib.crc32(header(0)[16:] + body)
-    return header(crc) + body
+    record["crc32"] = zlib.crc32(record.tobytes()[16:] + body)
+    return record.tobytes() + body
 
 
-def _wear_codes(about: Metadata, coded: Coded) -> tuple[int, bytes]:
+def _wear_codes(curves: Float64, limbs: int, scale: Float64) -> tuple[int, bytes]:
     """The knots of the wear curves, and their section. A library without curves gives none."""
-    if not coded.limb_wear.size:
+    if not curves.size:
         return 0, b""
-    knots = coded.limb_wear.shape[1]
-    require_shapes(limb_wear=(coded.limb_wear, (about.limbs, knots, 6)))
+    knots = curves.shape[1]
+    require_shapes(limb_wear=(curves, (limbs, knots, 6)))
     require(
-        knots <= layout.WEAR_KNOTS_MAX and bool(np.isfinite(coded.limb_wear).all()),
+        knots <= layout.WEAR_KNOTS_MAX and bool(np.isfinite(curves).all()),
         f"limb_wear has {knots} knots or a value that is not finite: check the library",
     )
-    scale = np.concatenate([coded.motion_scale, about.velocity_scale]).astype(np.float64)
-    codes = np.clip(np.floor(coded.limb_wear / scale + 0.5), -layout.WEAR_CODE_MAX, layout.WEAR_CODE_MAX)
+    codes = np.clip(np.floor(curves / scale + 0.5), -layout.WEAR_CODE_MAX, layout.WEAR_CODE_MAX)
     return knots, codes.astype("<i2").tobytes()
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.library.quantise import table_metadata
 from frogkick.planner.paper_cost import pose_cost
@@ -22,8 +22,6 @@ from frogkick.planner.plan import PlanConfig, path_rows
 from frogkick.robot import Robot, mirror_of
 from frogkick.runs.runlog import RunLog
 from frogkick.tables.packing import pack_nearest
-
-FloatArray = NDArray[np.float64]
 
 DECISIONS_MIN = 60
 """Fewer choices cannot determine some thirty numbers."""
@@ -39,9 +37,9 @@ _MOVED = 0.3  # part of the numbers that a try moves
 class Choices:
     """Decisions of a run: (n, 3) poses, world frame, by the newest fix before each, (n,) actions chosen."""
 
-    path: NDArray[np.float32]
-    poses_world: NDArray[np.float32]
-    actions: NDArray[np.int64]
+    path: Float32
+    poses_world: Float32
+    actions: Int64
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ class Believed:
         decisions: number of decisions.
     """
 
-    motion: FloatArray
+    motion: Float64
     agreement: float
     held_out_agreement: float
     nominal_agreement: float
@@ -77,7 +75,7 @@ def choices_of(run: RunLog) -> Choices:
     return Choices(path_rows(run.path), poses.astype(np.float32), run.decisions.action[known])
 
 
-def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: FloatArray) -> Believed:
+def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: Float64) -> Believed:
     """Find the motions that make choices of the paper's planner at depth 1 likely.
 
     Mirrored actions of a symmetric robot have mirrored motions.
@@ -111,7 +109,7 @@ def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: FloatArray)
     )
 
 
-def image_of_motions(robot: Robot, motion: FloatArray) -> bytes:
+def image_of_motions(robot: Robot, motion: Float64) -> bytes:
     """Return a table image of kind nearest in which each action has one motion at any velocity.
 
     Args:
@@ -123,7 +121,7 @@ def image_of_motions(robot: Robot, motion: FloatArray) -> bytes:
     return pack_nearest(about, velocities=at_rest, displacements=motion[None], velocities_end=ends)
 
 
-def _mirrored(robot: Robot, motion: FloatArray) -> FloatArray:
+def _mirrored(robot: Robot, motion: Float64) -> Float64:
     """Return motions that are averaged with their mirror images."""
     mirror = mirror_of(robot)
     if mirror is None:
@@ -131,7 +129,7 @@ def _mirrored(robot: Robot, motion: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (motion + motion[list(mirror.actions)] * [1.0, -1.0, -1.0]))
 
 
-def _search(runs: Sequence[Choices], robot: Robot, begin: FloatArray) -> FloatArray:
+def _search(runs: Sequence[Choices], robot: Robot, begin: Float64) -> Float64:
     rng, mirror = np.random.default_rng(0), mirror_of(robot)
     twins = np.arange(len(begin)) if mirror is None else np.array(mirror.actions)
     best, most = begin, _likelihood(runs, begin)
@@ -145,7 +143,7 @@ def _search(runs: Sequence[Choices], robot: Robot, begin: FloatArray) -> FloatAr
     return best
 
 
-def _likelihood(runs: Sequence[Choices], motion: FloatArray) -> float:
+def _likelihood(runs: Sequence[Choices], motion: Float64) -> float:
     total = 0.0
     for run in runs:
         costs = _costs(run, motion)
@@ -156,11 +154,11 @@ def _likelihood(runs: Sequence[Choices], motion: FloatArray) -> float:
     return total
 
 
-def _right(run: Choices, motion: FloatArray) -> int:
+def _right(run: Choices, motion: Float64) -> int:
     return int((_costs(run, motion).argmin(axis=1) == run.actions).sum())
 
 
-def _costs(run: Choices, motion: FloatArray) -> Any:
+def _costs(run: Choices, motion: Float64) -> Any:
     config = PlanConfig()
     weights = np.array(
         [config.distance_weight_per_m, config.angle_weight_per_rad, config.progress_weight], np.float32

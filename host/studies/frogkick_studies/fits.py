@@ -21,8 +21,8 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.robot import Robot
 from frogkick.validation.noise import Noise, noise_of
 from frogkick.validation.validate import ExperimentResult, Validation, root_mean_square
@@ -38,8 +38,6 @@ from frogkick_studies.steady import (
     plans_of,
     tables_of,
 )
-
-FloatArray = NDArray[np.float64]
 
 MOST_EFFECTS = 2
 TRIED = 1
@@ -208,7 +206,7 @@ class _Fit:
         self.sd_mps = max(known, _LEAST_SD_MPS)
         self.groupings = groupings(self.rows)
 
-    def missed(self, frees: Sequence[Free], points: Sequence[FloatArray]) -> FloatArray:
+    def missed(self, frees: Sequence[Free], points: Sequence[Float64]) -> Float64:
         """Return (len(points), n) residuals, prediction minus measurement in standard deviations; 0 m/s
         for a failure."""
         tables = [
@@ -217,7 +215,7 @@ class _Fit:
         speeds = np.nan_to_num(self.simulation.speeds(tables, self.gaits), nan=0.0)
         return np.asarray((speeds - self.measured) / self.sd_mps)
 
-    def jacobian(self, frees: Sequence[Free], point: FloatArray, first: int = 0) -> FloatArray:
+    def jacobian(self, frees: Sequence[Free], point: Float64, first: int = 0) -> Float64:
         """Return (n, p - first) derivatives by finite differences within the bounds."""
         high = np.array([free.bounds[1] for free in frees])
         steps = np.where(point + _STEP > high, -_STEP, _STEP)[first:]
@@ -225,7 +223,7 @@ class _Fit:
         base, *moved = self.missed(frees, [point, *(point + moves)])
         return np.stack([(there - base) / step for there, step in zip(moved, steps, strict=True)], axis=1)
 
-    def fit(self, frees: Sequence[Free], start: FloatArray) -> FloatArray:
+    def fit(self, frees: Sequence[Free], start: Float64) -> Float64:
         """Return (p,) maximum a posteriori values, in widths from the nominal model."""
         from scipy.optimize import least_squares
 
@@ -241,13 +239,13 @@ class _Fit:
         )
         return np.asarray(found.x)
 
-    def folds(self, way: str) -> Iterator[NDArray[np.bool_]]:
+    def folds(self, way: str) -> Iterator[Bool]:
         """Yield the mask of training swims for each group of a way of grouping."""
         label = np.array(self.groupings[way])
         for group in sorted(set(self.groupings[way])):
             yield label != group
 
-    def roughly_left_out(self, frees: Sequence[Free], point: FloatArray, jacobian: FloatArray) -> float:
+    def roughly_left_out(self, frees: Sequence[Free], point: Float64, jacobian: Float64) -> float:
         """Return the RMSE, m/s, of left-out groups in the worst way of grouping, linearised about a point."""
         from scipy.optimize import lsq_linear
 
@@ -264,7 +262,7 @@ class _Fit:
             errors.append(root_mean_square(after.tolist()))
         return self.sd_mps * max(errors)
 
-    def left_out(self, frees: Sequence[Free]) -> dict[str, FloatArray]:
+    def left_out(self, frees: Sequence[Free]) -> dict[str, Float64]:
         """Return way of grouping -> (n,) residuals, m/s, of swims by fits without their group."""
         if not len(frees):
             plain = self.sd_mps * self.missed((), [np.empty(0)])[0]
@@ -296,7 +294,7 @@ def fit_rows(
     point, errors = np.empty(0), fit.left_out(())
     scores, iterations = [_worst(errors)], []
     for taken in range(MOST_EFFECTS):
-        best: tuple[float, tuple[Free, ...], dict[str, FloatArray]] | None = None
+        best: tuple[float, tuple[Free, ...], dict[str, Float64]] | None = None
         for more in _promising(fit, frees, point):
             tried = (*frees, *more)
             if len(tried) > len(fit.rows) // 3:
@@ -321,12 +319,12 @@ def fit_rows(
     return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps, tuple(iterations))
 
 
-def _worst(errors: Mapping[str, FloatArray]) -> float:
+def _worst(errors: Mapping[str, Float64]) -> float:
     """Return the RMSE of the way of grouping in which it is largest; NaN if all swims are of one group."""
     return max((root_mean_square(each.tolist()) for each in errors.values()), default=math.nan)
 
 
-def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: FloatArray) -> FloatArray:
+def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: Float64) -> Float64:
     """Return the starting point of a fit: known values, and new ones at the best of their starts."""
     known = dict(zip(frees, point.tolist(), strict=True))
     places = [
@@ -339,7 +337,7 @@ def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: Float
     return points[int(np.argmin(np.add(costs, away)))]
 
 
-def _promising(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> list[tuple[Free, ...]]:
+def _promising(fit: _Fit, frees: tuple[Free, ...], point: Float64) -> list[tuple[Free, ...]]:
     """Return parameters to add, those that predict left-out swims best by a linearised estimate."""
     rows = [tuple(free for free in row if free not in frees) for row in CANDIDATES if row[0] not in frees]
     known = fit.jacobian(frees, point) if frees else np.empty((len(fit.rows), 0))
@@ -352,7 +350,7 @@ def _promising(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> list[tu
     return [more for _, more in sorted(scored, key=lambda pair: pair[0])[:TRIED]]
 
 
-def _estimates(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> Iterator[Estimate]:
+def _estimates(fit: _Fit, frees: tuple[Free, ...], point: Float64) -> Iterator[Estimate]:
     """Yield values with intervals from the curvature, widened if the residuals scatter more than the
     noise."""
     if not frees:

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
@@ -37,8 +37,6 @@ from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick_studies import Found
 from frogkick_studies.configs import Heldout
-
-FloatArray = NDArray[np.float64]
 
 LEAST_RUNS = 3
 
@@ -69,7 +67,7 @@ class HeldOut:
     after: PredictionError
     floor: PredictionError
     followed: PredictionError
-    periods: FloatArray = field(default_factory=lambda: np.empty((0, 8)))
+    periods: Float64 = field(default_factory=lambda: np.empty((0, 8)))
 
 
 def held_out(
@@ -163,14 +161,14 @@ def _test_on(ready: _Ready, index: int) -> HeldOut:
     )
 
 
-def _periods(rollout: Rollout, swim: Segments) -> FloatArray:
+def _periods(rollout: Rollout, swim: Segments) -> Float64:
     """(m, 8) periods of a run with a known action and a known miss; see ``HeldOut.periods``."""
     before = np.append([-1], swim.action[:-1])
     rows = np.column_stack([swim.action, before, rollout.start[:, 3:6], end_errors(rollout, swim)])
     return np.asarray(rows[np.isfinite(rows).all(axis=1) & (swim.action >= 0)], dtype=np.float64)
 
 
-def scatter(runs: Sequence[FloatArray], same_run: bool) -> PredictionError:
+def scatter(runs: Sequence[Float64], same_run: bool) -> PredictionError:
     """Root mean square deviation of like periods from what they have in common; ``count`` pairs.
 
     Each period is paired with the one of the same action, after the same action, whose velocity at the start

@@ -16,8 +16,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import ConvergenceError, FrogkickError
 from frogkick.core.poses import Fix, body_from_world, relative, wrap_angle
@@ -35,8 +35,6 @@ from frogkick.pool.camera import Camera, measure
 from frogkick.robot import Robot
 from frogkick.tables.image import Tables, open_image
 from frogkick_studies.configs import Ceiling
-
-FloatArray = NDArray[np.float64]
 
 NEAREST, AFFINE, RODS = "nearest", "affine", "rods"
 SOURCES = (NEAREST, AFFINE, RODS)
@@ -78,8 +76,8 @@ class Run:
     mean_distance_m: float
     progress_mps: float
     ended: str
-    planned: FloatArray
-    told: FloatArray
+    planned: Float64
+    told: Float64
 
     @property
     def completed(self) -> bool:
@@ -155,10 +153,10 @@ class _Lane:
         self.ended = ""
         self.end_s = np.inf
         self.actions: list[int] = []
-        self.velocity_body: list[FloatArray] = []
-        self.expected: list[FloatArray] = []
-        self.made: list[FloatArray] = []
-        self.seen: list[tuple[float, FloatArray]] = []
+        self.velocity_body: list[Float64] = []
+        self.expected: list[Float64] = []
+        self.made: list[Float64] = []
+        self.seen: list[tuple[float, Float64]] = []
         self._path, self._config = path, config
         self._camera = Camera()
         self._rng = np.random.default_rng(seed)
@@ -166,7 +164,7 @@ class _Lane:
         self._captured = 0
         self._under_way: list[Fix] = []
 
-    def look(self, times_s: FloatArray, rows: FloatArray) -> None:
+    def look(self, times_s: Float64, rows: Float64) -> None:
         """Take the camera's pictures of a part of the swim."""
         captures = []
         while (capture_s := (self._captured + 1) / self._camera.rate_hz) <= times_s[-1]:
@@ -233,7 +231,7 @@ def _run(ready: _Ready, task: Task) -> list[Run]:
         acting.advance(batch, SETTLE_S, trace=True), lanes, still, strict=True
     ):
         lane.look(np.concatenate([[0.0], times_s]), np.concatenate([row[None], rows]))
-    asked: list[list[FloatArray]] = [[] for _ in lanes]
+    asked: list[list[Float64]] = [[] for _ in lanes]
     at_s = SETTLE_S
     while True:
         for lane in lanes:
@@ -268,7 +266,7 @@ def _run(ready: _Ready, task: Task) -> list[Run]:
     ]
 
 
-def _result(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: FloatArray) -> Run:
+def _result(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: Float64) -> Run:
     made = np.array(lane.made).reshape(-1, 3)
     done = np.array(lane.actions, dtype=np.int64)
     if task.source != RODS and len(done):
@@ -291,7 +289,7 @@ def _result(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: FloatArra
     )
 
 
-def _wrapped(errors: FloatArray) -> FloatArray:
+def _wrapped(errors: Float64) -> Float64:
     found = errors.copy()
     found[:, 2] = wrap_angle(found[:, 2])
     return found
@@ -302,7 +300,7 @@ _APART = 100  # velocity codes between the names of a tree's nodes
 
 def swim_a_period(
     robot: Robot, batch: Batch, acting: ActingLanes, actions: Mapping[int, int]
-) -> dict[int, tuple[FloatArray, FloatArray]]:
+) -> dict[int, tuple[Float64, Float64]]:
     """Advance some lanes by one action and period; return (k,) times and (k, MOTION) rows of each, with the
     start.
 
@@ -325,13 +323,13 @@ def swim_a_period(
     }
 
 
-def motion_of(times_s: FloatArray, rows: FloatArray) -> FloatArray:
+def motion_of(times_s: Float64, rows: Float64) -> Float64:
     """Return (3,) the motion from the first row to the last one, in the body frame of the first."""
     pose = interpolate(times_s, rows, times_s[[0, -1]])[0]
     return relative(pose[0], pose[1])
 
 
-def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> FloatArray:
+def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Float64:
     """Let copies of swimming robots try every sequence of actions.
 
     Args:
@@ -350,7 +348,7 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
         ConvergenceError: the rods failed.
     """
     lanes, actions, nodes = batch.lanes, len(robot.actions), 1
-    levels: list[FloatArray] = []
+    levels: list[Float64] = []
     level = [(batch, acting, [(lane, 0) for lane in range(lanes)])]  # and whose robots, at which node
     while len(levels) < depth:
         motions, following = np.empty((lanes, nodes, actions, 3)), []
@@ -374,7 +372,7 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
     return np.concatenate(levels, axis=1)
 
 
-def table_of_motions(motions: FloatArray, like: Tables) -> Tables:
+def table_of_motions(motions: Float64, like: Tables) -> Tables:
     """Return a table in which the planner finds the motions of a tree instead of those of velocities.
 
     The velocity at the end of an action is replaced by the name of the next node; the present has the

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.der import WIDTH, Gait
@@ -18,7 +18,6 @@ from frogkick.robot import Profile, Robot
 from frogkick.validation.gaits import GaitSwim, swim_gaits
 from frogkick.validation.validate import ExperimentResult
 
-FloatArray = NDArray[np.float64]
 Table = Mapping[str, Any]
 
 _FAR = 10.0  # widths: a factor whose bound is 0 goes no lower
@@ -87,7 +86,7 @@ CANDIDATES: tuple[tuple[Free, ...], ...] = (
 """Parameters that steady speeds can show and all alloys share; those of a row are fitted together."""
 
 
-def expected(frees: Sequence[Free]) -> FloatArray:
+def expected(frees: Sequence[Free]) -> Float64:
     """Return (p,) prior means, in widths from the nominal model."""
     return np.array([free.expected for free in frees])
 
@@ -112,7 +111,7 @@ class Simulation:
         self.robot, self.profiles, self.workers = robot, tuple(profiles), workers
         self._known: dict[tuple[str, Gait], float] = {}
 
-    def speeds(self, effects: Sequence[Sequence[Table]], gaits: Sequence[Gait]) -> FloatArray:
+    def speeds(self, effects: Sequence[Sequence[Table]], gaits: Sequence[Gait]) -> Float64:
         """Return (len(effects), len(gaits)) speeds, m/s; NaN if a simulation failed."""
         tasks: list[tuple[tuple[Table, ...], list[Gait]]] = []
         for tables in dict.fromkeys(map(repr, effects)):
@@ -228,7 +227,7 @@ def groupings(rows: _Rows) -> dict[str, list[str]]:
     return {way: label for way, label in every.items() if len(set(label)) > 1}
 
 
-def gain_of(before: FloatArray, after: FloatArray) -> tuple[float, float, float]:
+def gain_of(before: Float64, after: Float64) -> tuple[float, float, float]:
     """Return the mean of before^2 - after^2, and its 95 % interval by a paired bootstrap over cases.
 
     Args:

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.progress import shown
 from frogkick.der import Gait
@@ -29,7 +29,6 @@ from frogkick.validation.validate import ExperimentResult, swum_of, validate
 from frogkick_studies import Found
 from frogkick_studies.configs import Wake
 
-FloatArray = NDArray[np.float64]
 Series = Sequence[ExperimentResult]
 
 START, LOWEST, HIGHEST = (0.3, 0.2), (0.0, 0.02), (1.0, 5.0)
@@ -73,10 +72,10 @@ class WakeStudy(Found):
     left_out: Sequence[LeftOut]
     levels_mps: Sequence[float]
     gait: Gait
-    rods_mps: FloatArray
-    predicted_mps: FloatArray
-    low_mps: FloatArray
-    high_mps: FloatArray
+    rods_mps: Float64
+    predicted_mps: Float64
+    low_mps: Float64
+    high_mps: Float64
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -146,7 +145,7 @@ class WakeStudy(Found):
         return figure
 
 
-def kept(values: FloatArray, phase: FloatArray, frequency_hz: FloatArray | float) -> FloatArray:
+def kept(values: Float64, phase: Float64, frequency_hz: Float64 | float) -> Float64:
     """The part of the speed that a wake of (share, memory in s) leaves, over phase offsets and frequencies.
 
     Each pair of limbs gives half of the thrust.
@@ -156,11 +155,11 @@ def kept(values: FloatArray, phase: FloatArray, frequency_hz: FloatArray | float
     return np.asarray(1.0 - 0.5 * share * sum(np.exp(-gap / memory_s) for gap in gaps))
 
 
-def fitted(series: Sequence[Series]) -> tuple[FloatArray, FloatArray]:
+def fitted(series: Sequence[Series]) -> tuple[Float64, Float64]:
     """(2,) share and memory (s) that fit series over phase best, each about its level; (2, 2) covariance."""
     from scipy.optimize import least_squares
 
-    def residuals(values: FloatArray) -> FloatArray:
+    def residuals(values: Float64) -> Float64:
         off = [_off(values, some) for some in series]
         return np.concatenate([each - each.mean() for each in off])
 
@@ -169,7 +168,7 @@ def fitted(series: Sequence[Series]) -> tuple[FloatArray, FloatArray]:
     return found.x, np.linalg.pinv(found.jac.T @ found.jac) * float(found.fun @ found.fun) / spare
 
 
-def _columns(series: Series) -> FloatArray:
+def _columns(series: Series) -> Float64:
     """(4, n) frequency, phase, measured and the rods' speed."""
     rows = [
         (each.case.gait.frequency_hz, each.case.gait.phase, each.reference.speed_mps, each.model_mps)
@@ -178,7 +177,7 @@ def _columns(series: Series) -> FloatArray:
     return np.array(rows).T
 
 
-def _off(values: FloatArray, series: Series) -> FloatArray:
+def _off(values: Float64, series: Series) -> Float64:
     frequency, phase, measured, rods = _columns(series)
     return np.asarray(measured - rods * kept(values, phase, frequency))
 
@@ -216,10 +215,10 @@ def run(config: Wake) -> WakeStudy:
         )
     values, covariance = fitted(list(series.values()))
 
-    def levels_of(tried: FloatArray) -> list[float]:
+    def levels_of(tried: Float64) -> list[float]:
         return [float(_off(tried, some).mean()) for some in groups.values()]
 
-    def prediction(tried: FloatArray) -> FloatArray:
+    def prediction(tried: Float64) -> Float64:
         return rods * kept(tried, PHASES, config.frequency) + float(np.mean(levels_of(tried)))
 
     gaits = [Gait(config.egain, config.frequency, float(phase)) for phase in PHASES]

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
@@ -46,7 +46,6 @@ from frogkick_studies import Found
 from frogkick_studies.configs import Water
 from frogkick_studies.steady import gain_of, groupings, with_effects
 
-FloatArray = NDArray[np.float64]
 Table = Mapping[str, Any]
 
 INNER_M, HEIGHT_M, DENSITY_SHARE = 0.035, 0.035, 0.9
@@ -111,7 +110,7 @@ class Swims:
     gain_m2_per_s2: Mapping[str, tuple[float, float, float]]
 
 
-def of_swims(speeds: FloatArray, nominal: FloatArray, rows: Sequence[ExperimentResult]) -> Swims:
+def of_swims(speeds: Float64, nominal: Float64, rows: Sequence[ExperimentResult]) -> Swims:
     """Judge speeds, m/s, of the gaits of measured swims beside those of the nominal robot as it stands."""
     measured = np.array([row.reference.speed_mps for row in rows])
     ways = groupings(rows) | {"series": [row.case.group for row in rows]}
@@ -126,7 +125,7 @@ def of_swims(speeds: FloatArray, nominal: FloatArray, rows: Sequence[ExperimentR
     return Swims(root_mean_square((speeds - measured).tolist()), _factor(speeds, measured), left_out, gains)
 
 
-def _factor(speeds: FloatArray, measured: FloatArray) -> float:
+def _factor(speeds: Float64, measured: Float64) -> float:
     return float(speeds @ measured / (speeds @ speeds))
 
 
@@ -144,7 +143,7 @@ class Joint:
     values: Mapping[str, float]
 
 
-def pooled_error(ends: Sequence[FloatArray]) -> PredictionError:
+def pooled_error(ends: Sequence[Float64]) -> PredictionError:
     """Return the RMS over (n, 3) residuals at the ends of periods of several runs."""
     every = np.concatenate(ends)
     return PredictionError(
@@ -394,7 +393,7 @@ def run(config: Water) -> WaterStudy:
     )
 
 
-def _speeds(robot: Robot, profiles: Profiles, gaits: Sequence[Gait], workers: int) -> FloatArray:
+def _speeds(robot: Robot, profiles: Profiles, gaits: Sequence[Gait], workers: int) -> Float64:
     """Return (len(gaits),) speeds, m/s.
 
     Raises:

@@ -1,7 +1,7 @@
 /* The whole state that decisions and strokes depend on, as bytes: one walk over it writes or reads them.
  *
  * Not in it: what the table says, counters, frames on their way, and what is written before it is read again. Numbers
- * are little-endian, floats by their bits. host/frogkick/runs/chip_state.py reads the same.
+ * are little-endian, floats by their bits. host/frogkick/runs/chip_twin.py reads the same.
  */
 #include "fk_robot_state.h"
 

@@ -26,11 +26,11 @@ from tests.vision.scenes import calibration
 from frogkick.front.bench import Sight
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import RunOptions, run_session
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import lab_session
 from frogkick.runs.live_log import logged
+from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.sources import Frame
 
 RATE_HZ = 60.0

@@ -17,7 +17,7 @@ from frogkick.estimator.follow import IDLE_LACKING_MAX
 from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
-from frogkick.runs.chip_state import SnapshotError, read_state
+from frogkick.runs.chip_twin import ChipTwin, SnapshotError
 from frogkick.tables.image import open_image
 from frogkick.tables.layout import LIMB_GONE, LOST_MAX
 
@@ -101,14 +101,14 @@ def test_a_robot_that_lacks_a_limb_gives_up_after_half_as_many_decisions() -> No
 
 def test_a_snapshot_in_which_more_is_lost_than_there_is_is_refused() -> None:
     whole = snapshot_of(worn(1, 50))
-    wear = read_state(whole, open_image(image())).estimator.track.wear
+    wear = ChipTwin(whole, open_image(image())).wear
     everything = struct.pack("<H", LOST_MAX)
     assert wear is not None and wear.codes[3] == LOST_MAX
     assert whole.count(everything) == 1 and restored(whole) == 0
     damaged = whole.replace(everything, struct.pack("<H", LOST_MAX + 1))
     assert restored(damaged) == -1
     with pytest.raises(SnapshotError, match="32768, at most 32767"):
-        read_state(damaged, open_image(image()))
+        ChipTwin(damaged, open_image(image()))
 
 
 def test_there_are_three_ways_to_learn() -> None:

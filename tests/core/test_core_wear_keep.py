@@ -23,7 +23,7 @@ from tests.planner import synthetic
 from frogkick.core.shared_library import load
 from frogkick.estimator.wear import HELD, OFF, ON, WearFilter
 from frogkick.pool.native_robot import kept_wear
-from frogkick.runs.chip_state import read_state
+from frogkick.runs.chip_twin import ChipTwin
 from frogkick.tables.image import open_image
 from frogkick_codegen.native import build_shared
 
@@ -78,7 +78,7 @@ def test_after_a_reset_it_goes_on_from_what_it_knew(seed: int) -> None:
     assert known(again) == (ON, learned)
     again.tick()
     assert again.status("ARM") == "OK"
-    wear = read_state(snapshot_of(again), open_image(image())).estimator.track.wear
+    wear = ChipTwin(snapshot_of(again), open_image(image())).wear
     assert wear is not None
     twin = WearFilter(open_image(image()))
     twin.restart(learned)

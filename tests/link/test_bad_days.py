@@ -28,7 +28,6 @@ from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs import session as session_module
-from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import ENDED, FixSource, Recording, RunOptions, run_session
 from frogkick.runs.lab_port import LabPort
 from frogkick.runs.lab_session import CLOCK_SAMPLES, LabSession, lab_session
@@ -36,6 +35,7 @@ from frogkick.runs.live_log import LiveLog, logged, part_of
 from frogkick.runs.runlog import Fixes
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
+from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.sources import Frame, live_frames
 
 PERIOD_S = rig.PERIOD_S

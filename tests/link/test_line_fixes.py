@@ -12,7 +12,7 @@ import pytest
 
 from frogkick.core.errors import InputError
 from frogkick.link.text_dialect import fire_line, limb_numbers, pulse_line
-from frogkick.runs.line_fixes import LineFixes, parse_line
+from frogkick.runs.tracked_fixes import LineFixes, parse_line
 
 
 @pytest.fixture

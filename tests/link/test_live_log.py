@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -24,9 +25,10 @@ from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.decision import Decision
 from frogkick.runs.lab_session import lab_session
 from frogkick.runs.live_log import CUT_OFF, LiveLog, logged, part_of
-from frogkick.runs.record import BATTERY_V, run_log
+from frogkick.runs.record import BATTERY_V, lost_of, run_log
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import read_run, write_run
 
@@ -93,6 +95,24 @@ def test_a_killed_run_leaves_what_it_had_recorded(tmp_path: Path, capsys: pytest
     told = frogkick(capsys, "log", "show", part_of(target), "--out", tmp_path / "killed.png", "--json")
     assert told.code == 0 and CUT_OFF in told.stdout
     assert (tmp_path / "killed.png").stat().st_size > 5000
+
+
+def test_a_log_in_progress_tells_what_limbs_have_lost(tmp_path: Path) -> None:
+    options, target = replace(OPTIONS, learn=True), tmp_path / "run.h5"
+    lost = [(0,) * 8, (300, 0, 20_000, 0, 0, 0, 0, 0)]
+    recording = Recording(decisions=[Decision(0, 0, 10**6 * (at + 1), lost=lost[at]) for at in range(2)])
+    with logged(target, rig.robot(), rig.tables(), options, "test")(shape(PATH)) as keep:
+        keep(recording)
+    live = read_run(part_of(target))
+    assert live.decisions.extra["lost"].tolist() == [list(row) for row in lost]
+    whole = run_log(recording, None, rig.robot(), rig.tables(), shape(PATH), options, None, "test")
+    names = [limb.name for limb in rig.robot().limbs]
+    assert (
+        lost_of(live)
+        == lost_of(whole)
+        == dict(zip(names, [300 / 32767, 0.0, 20_000 / 32767, 0.0], strict=True))
+    )
+    same_columns(live, whole, "decisions")
 
 
 @contextmanager

@@ -31,12 +31,12 @@ from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.robot import load_robot
-from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import ENDED, TIME, RunOptions, run_session
 from frogkick.runs.lab_session import lab_session
 from frogkick.runs.record import tracking_of_recording
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.summary import summary
+from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.calibration_file import write_calibration
 from frogkick.vision.sources import Frame
 

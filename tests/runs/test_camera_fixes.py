@@ -12,7 +12,7 @@ from tests.vision.scenes import calibration, scene
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
-from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.sources import Frame, live_frames
 
 SCENE = scene(noise=3.0)

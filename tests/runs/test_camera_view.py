@@ -23,10 +23,9 @@ from frogkick.front.viewing import viewed
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.report.live_page import served
-from frogkick.runs import camera_view
-from frogkick.runs.camera_fixes import CameraFixes
-from frogkick.runs.camera_view import CameraView
+from frogkick.runs import tracked_fixes
 from frogkick.runs.closed_loop import Recording, RunOptions
+from frogkick.runs.tracked_fixes import CameraFixes, CameraView
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.scene import Scene, looking_at
 from frogkick.vision.sources import Frame
@@ -94,7 +93,7 @@ def test_places_of_the_pool_are_drawn_where_the_camera_sees_them(bent: bool) -> 
 
 @pytest.mark.parametrize("most_px", [960, 320], ids=["as it is", "made smaller"])
 def test_the_page_is_given_the_camera_s_picture(most_px: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_view, "WIDTH_MOST_PX", most_px)
+    monkeypatch.setattr(tracked_fixes, "WIDTH_MOST_PX", most_px)
     of = scene()
     with looking(of) as (still, camera):
         eye = CameraView(camera)
@@ -118,7 +117,7 @@ def test_no_picture_is_made_that_nobody_asks_for(monkeypatch: pytest.MonkeyPatch
     """Nor two at once, nor one again: pages that ask often get the same one."""
     made: list[int] = []
     encode = cv2.imencode
-    monkeypatch.setattr(camera_view.cv2, "imencode", lambda *given: made.append(1) or encode(*given))
+    monkeypatch.setattr(tracked_fixes.cv2, "imencode", lambda *given: made.append(1) or encode(*given))
     with looking(scene()) as (still, camera):
         eye = CameraView(camera)
         for _ in range(3):
@@ -130,14 +129,14 @@ def test_no_picture_is_made_that_nobody_asks_for(monkeypatch: pytest.MonkeyPatch
         assert not made
         first, second = eye.picture(), eye.picture()
         assert first is not None and first == second and len(made) == 1
-        monkeypatch.setattr(camera_view, "EVERY_S", 1e9)
+        monkeypatch.setattr(tracked_fixes, "EVERY_S", 1e9)
         before = camera.newest
         still.asked.release()
         while camera.newest is before:
             assert time.monotonic() < deadline_s
             time.sleep(0.005)
         assert eye.picture() == first and len(made) == 1, "a newer one, but too soon"
-        monkeypatch.setattr(camera_view, "EVERY_S", 0.0)
+        monkeypatch.setattr(tracked_fixes, "EVERY_S", 0.0)
         later = eye.picture()
         assert later is not None and later[1]["X-Capture-S"] > first[1]["X-Capture-S"] and len(made) == 2
 

@@ -21,7 +21,7 @@ from frogkick.paths import shape
 from frogkick.runs.export_csv import export_csv
 from frogkick.runs.export_mcap import export_mcap
 from frogkick.runs.record import run_log
-from frogkick.runs.recorded import load_run
+from frogkick.runs.recorded.importer import load_run
 from frogkick.runs.runlog import RunLog
 
 

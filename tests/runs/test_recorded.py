@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 from tests.conftest import from_ci
 
 from frogkick.core.errors import InputError
-from frogkick.runs.recorded import import_recorded, load_run, read_recorded, summarise
-from frogkick.runs.recorded.clock import estimate_clock
-from frogkick.runs.recorded.frames import mark_frames, misdetections, untrusted_times
-from frogkick.runs.recorded.importer import cost_mismatch
-from frogkick.runs.recorded.motion import motion_lag
+from frogkick.runs.recorded.clock import estimate_clock, motion_lag
+from frogkick.runs.recorded.importer import cost_mismatch, import_recorded, load_run, read_recorded, summarise
+from frogkick.runs.recorded.table import mark_frames, misdetections, untrusted_times
 from frogkick.runs.runlog import DecisionFlag, FixFlag
 
 REST = 8

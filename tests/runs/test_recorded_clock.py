@@ -22,9 +22,8 @@ from frogkick.identification.fit import Model
 from frogkick.identification.segments import read_segments, reliable
 from frogkick.identification.terms import catalogue
 from frogkick.robot import load_robot
-from frogkick.runs.recorded import clock_problem, load_run, read_recorded
 from frogkick.runs.recorded.clock import estimate_clock
-from frogkick.runs.recorded.importer import period_limits
+from frogkick.runs.recorded.importer import clock_problem, load_run, period_limits, read_recorded
 
 
 def test_half_and_twice_the_period_are_told_apart_by_the_motion() -> None:

@@ -14,7 +14,7 @@ from frogkick.link.wire import Edge, RobotPort
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
 from frogkick.runs.decision import Decision
-from frogkick.runs.recorded import load_run
+from frogkick.runs.recorded.importer import load_run
 from frogkick.runs.replay import Replay, replay
 from frogkick.runs.runlog import RunLog
 

@@ -14,8 +14,7 @@ from frogkick.core.errors import InputError
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.record import run_log
-from frogkick.runs.recorded import load_run
-from frogkick.runs.recorded.importer import RUN_NAME
+from frogkick.runs.recorded.importer import RUN_NAME, load_run
 from frogkick.runs.replay import Replay, replay
 from frogkick.runs.runlog import Decisions, FixFlag, RunLog
 from frogkick.runs.runlog_file import read_run, write_run

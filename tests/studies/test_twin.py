@@ -24,7 +24,7 @@ from frogkick.library import Library, build_library
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, path_rows, plan
 from frogkick.robot import Robot, load_robot, parse_robot
-from frogkick.runs.recorded import read_recorded
+from frogkick.runs.recorded.importer import read_recorded
 from frogkick.tables.image import open_image
 from frogkick_studies import in_pool
 from frogkick_studies import twin as twin_module

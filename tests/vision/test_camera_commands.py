@@ -17,7 +17,7 @@ from tests.vision.scenes import calibration, scene
 
 from frogkick.core.poses import Fix
 from frogkick.front.cameras import track_camera
-from frogkick.runs.line_fixes import parse_line
+from frogkick.runs.tracked_fixes import parse_line
 from frogkick.vision.board import Board
 from frogkick.vision.calibration_file import read_calibration, write_calibration
 from frogkick.vision.tags import dictionary, picture_order

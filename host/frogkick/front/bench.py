@@ -30,16 +30,15 @@ from frogkick.paths.hold import hold_at_end
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
-from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, Recording, RunOptions, run_session
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
-from frogkick.runs.line_fixes import LineFixes
 from frogkick.runs.live_view import tree_of
 from frogkick.runs.path_change import NextPath
 from frogkick.runs.pool_fixes import PoolFixes
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.text_robot import TextRobot
+from frogkick.runs.tracked_fixes import CameraFixes, LineFixes
 from frogkick.tables.image import Tables
 from frogkick.vision.calibration_file import read_calibration
 from frogkick.vision.sources import open_source

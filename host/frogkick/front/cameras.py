@@ -17,9 +17,9 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import Fix
 from frogkick.front.viewing import camera_viewed
-from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import Recording
 from frogkick.runs.live_view import FIXES_SHOWN
+from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
 from frogkick.vision.calibration import Calibration, Tag, refraction_offset_m
 from frogkick.vision.calibration_file import read_calibration, write_calibration

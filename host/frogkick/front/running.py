@@ -51,7 +51,6 @@ from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import Recording, RunOptions, require_seed, require_time, run_session
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
@@ -66,12 +65,13 @@ from frogkick.runs.record import (
     run_log,
     tracking_of_recording,
 )
-from frogkick.runs.recorded import import_recorded
-from frogkick.runs.recorded import load_run as load_log
+from frogkick.runs.recorded.importer import import_recorded
+from frogkick.runs.recorded.importer import load_run as load_log
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.session import Session
 from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
+from frogkick.runs.tracked_fixes import CameraFixes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

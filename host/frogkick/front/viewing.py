@@ -18,11 +18,10 @@ from frogkick.paths import Path as SwimPath
 from frogkick.pool.pool import Pool
 from frogkick.report.live_page import served
 from frogkick.robot import Robot, load_robot, parse_robot
-from frogkick.runs.camera_fixes import CameraFixes
-from frogkick.runs.camera_view import CameraView
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.live_view import LiveView
 from frogkick.runs.runlog import RunLog
+from frogkick.runs.tracked_fixes import CameraFixes, CameraView
 from frogkick.tables.image import Tables
 
 EVERY_S = 0.1

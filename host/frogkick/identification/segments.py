@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.robot import Robot
-from frogkick.runs.recorded import clock_problem, load_run
+from frogkick.runs.recorded.importer import clock_problem, load_run
 from frogkick.runs.runlog import FixFlag, RunLog
 
 FloatArray = NDArray[np.float64]

@@ -10,15 +10,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record
+from frogkick.core.shared_library import load
+from frogkick.link.frames import pack_raw
+from frogkick.link.layout import link_layout
+from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record, Stretch, records_of
 from frogkick.link.supervisor import supervisor
-from frogkick.runs.chip_core import LATE, TOO_LATE, ChipCore, pulse_fault
 from frogkick.runs.chip_twin import ChipTwin
 from frogkick.runs.decision import Decision
 from frogkick.tables.image import Tables
 
+LATE, TOO_LATE = -16, 2
+"""FK_PULSE_LATE, and FK_PULSE_TOO_LATE in a PULSE record: the port was too late to begin it."""
+_CHUNK = 4096
 _TICKS = 3  # at one time: a stroke begins, a decision, another stroke
 _TABLE_COMMANDS = ("TABLE_BEGIN", "TABLE_COMMIT", "TABLE_ROLLBACK")
 
@@ -161,7 +167,7 @@ def _end_of(records: list[Record], snapshot: _Snapshot) -> int:
         if (
             record.name in (DAMAGED, "BOOT")
             or (record.name == "SNAPSHOT" and record.values["anew"])
-            or (record.name == "FAULT" and not pulse_fault(record))
+            or (record.name == "FAULT" and record.values["fault"] != link_layout().fault["PULSE"])
             or (record.name == "COMMAND" and record.values["status"] == UNFINISHED)
             or record.command in _TABLE_COMMANDS
         ):
@@ -222,17 +228,18 @@ class _Segment:
         if record.name == "COMMAND":
             return self.core.command(record)
         if record.name == "FAULT":
-            return self.core.pulse_failed(int(record.values["detail"]))
+            return self.core.call(("note_pulse_failed", int(record.values["detail"])))
         if record.name == "PULSE" and record.values["allowed"] == TOO_LATE:
-            return self.core.pulse_failed(LATE)
+            return self.core.call(("note_pulse_failed", LATE))
+        now = ("note_time", record.time_us)
         if record.name == "STATE" and record.values["event"] == supervisor().number("LINK_LOST"):
-            return self.core.link_lost(record.time_us)
+            return self.core.call(now, ("note_link_lost",))
         if record.name == "STATE" and record.values["event"] == supervisor().number("SUPPLY_LOW"):
-            return self.core.supply_low(record.time_us)
-        made = self.core.note_time(record.time_us)
+            return self.core.call(now, ("note_supply", 1))
+        made = self.core.call(now)
         for _ in range(_TICKS):
             if not made:
-                made = self.core.tick(record.time_us)
+                made = self.core.call(("tick", record.time_us, self.core.outputs))
         return made
 
     def _report(self, record: Record | None, place: str, what: str) -> None:
@@ -243,3 +250,72 @@ class _Segment:
 def _fields(made: Record, record: Record) -> str:
     names = [name for name, value in record.values.items() if made.values[name] != value]
     return ", ".join(names) or "its bytes"
+
+
+class ChipCore:
+    """The robot's C core on this computer. Each call but ``begin`` returns the records that it wrote.
+
+    Attributes:
+        outputs: for the core's tick.
+    """
+
+    def __init__(self, library: Path, image: bytes) -> None:
+        """Load a library made by ``firmware build --target native``.
+
+        Args:
+            library: made for the same robot.
+            image: table image that the robot used.
+        """
+        self._ffi, self._core = load(library)
+        self._image = self._ffi.new("uint64_t[]", (len(image) + 7) // 8)
+        self._ffi.memmove(self._image, image, len(image))
+        self._image_bytes = len(image)
+        self.outputs = self._ffi.new("fk_outputs_t *")
+        self._from = self._ffi.new("uint32_t *")
+        self._buffer = self._ffi.new("uint8_t[]", _CHUNK)
+        self._sequence = 0
+
+    def begin(self, snapshot: bytes) -> None:
+        """Restore a snapshot.
+
+        Raises:
+            FrogkickError: the core refuses the table, or the snapshot.
+        """
+        core, ffi = self._core, self._ffi
+        self._memory = ffi.new("fk_robot_t *")
+        self._log = ffi.new("fk_log_t *")
+        self._offset = 0
+        error = core.fk_robot_init(self._memory, ffi.cast("uint8_t *", self._image), self._image_bytes)
+        if error:
+            raise FrogkickError(f"the core refuses the table (fk_error_t {error}): give the robot's own")
+        core.fk_robot_use_log(self._memory, self._log)
+        if core.fk_robot_restore(self._memory, snapshot, len(snapshot)):
+            raise FrogkickError(
+                "the core refuses the snapshot: it is of another firmware; fetch and replay with the same one"
+            )
+        self._written()
+
+    def command(self, record: Record) -> list[Record]:
+        """Pass the command of a COMMAND record."""
+        self._sequence = (self._sequence + 1) & 0xFF
+        encoded = pack_raw(int(record.values["type"]), self._sequence, record.rest)[:-1]
+        self._core.fk_robot_on_frame(self._memory, encoded, len(encoded), record.time_us)
+        return self._written()
+
+    def call(self, *calls: tuple[Any, ...]) -> list[Record]:
+        """Call functions of the core, each by its name after ``fk_robot_`` and its arguments."""
+        for name, *given in calls:
+            getattr(self._core, f"fk_robot_{name}")(self._memory, *given)
+        return self._written()
+
+    def _written(self) -> list[Record]:
+        while self._core.fk_robot_take_tx(self._memory, self._buffer, _CHUNK):
+            pass
+        content = b""
+        while count := self._core.fk_log_read(
+            self._log, (self._offset + len(content)) % 2**32, self._buffer, _CHUNK, self._from
+        ):
+            content += bytes(self._ffi.buffer(self._buffer, count))
+        records = records_of(Stretch(self._offset, content))
+        self._offset = (self._offset + len(content)) % 2**32
+        return records

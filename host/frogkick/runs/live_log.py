@@ -20,7 +20,7 @@ from frogkick.core.interrupts import Bell
 from frogkick.paths import Path
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
-from frogkick.runs.record import decision_columns, fix_columns, run_log
+from frogkick.runs.record import LEARN, decision_columns, fix_columns, run_log
 from frogkick.runs.runlog import Decisions, Fixes, PathChange, RunLog
 from frogkick.runs.runlog_file import fill
 from frogkick.tables.image import Tables
@@ -73,7 +73,7 @@ class LiveLog:
         self._fixes = self._decisions = self._changes = 0
         self._room = len(empty.then)  # a file that others read takes no further groups
         self._unanswered: list[int] = []
-        self._onboard = onboard
+        self._onboard, self._learn = onboard, LEARN in empty.made
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             self._file = h5py.File(self.path, "w", libver="latest")
@@ -156,7 +156,7 @@ class LiveLog:
         first, self._decisions = self._decisions, len(recording.decisions)
         rows = {fix.sequence: row for row, fix in reversed(list(enumerate(recording.fixes)))}
         offset_us = recording.clock_offset_us if self._onboard else 0
-        return decision_columns(recording.decisions[first:], rows, offset_us)
+        return decision_columns(recording.decisions[first:], rows, offset_us, self._learn)
 
     def _live(self) -> None:
         while True:

@@ -15,10 +15,10 @@ from frogkick.paths import Path
 from frogkick.planner import lookup
 from frogkick.planner.plan import PlanConfig, PlanError, plan
 from frogkick.robot import in_a_row
-from frogkick.runs.camera_view import CameraView
 from frogkick.runs.closed_loop import Recording
 from frogkick.runs.decision import Decision, lost_text
 from frogkick.runs.runlog import RunLog
+from frogkick.runs.tracked_fixes import CameraView
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 

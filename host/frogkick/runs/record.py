@@ -236,8 +236,10 @@ def lost_at_start(run: RunLog) -> tuple[int, ...]:
 
 def lost_of(run: RunLog) -> dict[str, float] | None:
     """Share of its contribution that each limb had lost, as learned by the run's end; None: nothing."""
-    known = run.measured.items()
-    return {key.removeprefix(LOST): share for key, share in known if key.startswith(LOST)} or None
+    learned = run.decisions.extra.get("lost")
+    if learned is None or not len(learned):
+        return None
+    return dict(zip(learned_limbs(run), (learned[-1] / LOST_MAX).tolist(), strict=False))
 
 
 def limb_events(run: RunLog) -> list[dict[str, Any]] | None:

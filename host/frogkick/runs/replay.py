@@ -25,7 +25,7 @@ from frogkick.runs.decision import (
 )
 from frogkick.runs.path_change import PathSender
 from frogkick.runs.record import LEARN, lost_at_start
-from frogkick.runs.recorded import clock_problem
+from frogkick.runs.recorded.importer import clock_problem
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables

@@ -24,8 +24,7 @@ from frogkick.library import quantise
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.record import along_path
-from frogkick.runs.recorded import clock_problem, read_recorded
-from frogkick.runs.recorded.importer import RUN_NAME, path_file
+from frogkick.runs.recorded.importer import RUN_NAME, clock_problem, path_file, read_recorded
 from frogkick.runs.runlog import RunLog
 from frogkick_codegen.firmware import require_tools
 from frogkick_studies import Found

@@ -8,21 +8,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.core.poses import wrap_angle
 from frogkick.paths import from_csv
 from frogkick.robot import Robot, load_robot
-from frogkick.runs.recorded.clock import Clock, estimate_clock
-from frogkick.runs.recorded.frames import mark_frames
-from frogkick.runs.recorded.motion import forward_speed, motion_lag
-from frogkick.runs.recorded.table import ACTION_NAMES, Table, read_table
+from frogkick.runs.recorded.clock import Clock, estimate_clock, forward_speed, motion_lag
+from frogkick.runs.recorded.table import ACTION_NAMES, Table, mark_frames, read_table
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes
 from frogkick.runs.runlog_file import read_run, write_run
-
-Float64 = NDArray[np.float64]
 
 ROBOT_ID = "frog2022"
 PULSE_S = 0.080
@@ -364,7 +360,7 @@ def _run_files(folder: pathlib.Path) -> list[pathlib.Path]:
     ]
 
 
-def _count(flags: NDArray[np.int64], flag: FixFlag) -> int:
+def _count(flags: Int64, flag: FixFlag) -> int:
     return int(((flags & int(flag)) != 0).sum())
 
 

@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from frogkick.core.arrays import Bool, Float64
+
 Complex = NDArray[np.complex128]
 
 LABEL, MOTION, SLIP = 30.0, 8.0, 12.0
@@ -48,7 +49,7 @@ class Evidence:
     end_s: float
 
     @property
-    def votes(self) -> NDArray[np.bool_]:
+    def votes(self) -> Bool:
         """(n,) changes with narrow bounds, which count in the score."""
         return np.asarray(self.latest - self.earliest <= LABEL_ROOM_S)
 

@@ -59,12 +59,13 @@ class Points:
 
     def with_part(self, first: int, rows: Float32, total: int) -> Points:
         """The points before an index, and (k, 3) from there on."""
-        before = (self.x_m, self.y_m, self.tangent_rad)
-        columns = [np.concatenate([own[:first], part]) for own, part in zip(before, rows.T, strict=True)]
-        return Points(*columns, total=total)
+        before = np.column_stack([self.x_m, self.y_m, self.tangent_rad])[:first]
+        x_m, y_m, tangent_rad = np.concatenate([before, rows]).T
+        return Points(x_m, y_m, tangent_rad, total)
 
 
-NO_POINTS = Points(*(np.zeros(0, dtype=np.float32) for _ in range(3)), total=0)
+_NONE = np.zeros(0, dtype=np.float32)
+NO_POINTS = Points(_NONE, _NONE, _NONE, 0)
 
 
 class ChipTwin(DecisionTwin):

@@ -11,8 +11,8 @@ import pytest
 from frogkick.core.errors import InputError
 from frogkick.der import Swimmer, prepare
 from frogkick.effects import Acting, Body, Effect, Fix, World, changed_robot, make_effect, make_effects
-from frogkick.effects.inertia import gyration_m
-from frogkick.effects.walls import REACH_M
+from frogkick.effects.body import gyration_m
+from frogkick.effects.water import REACH_M
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot, load_robot

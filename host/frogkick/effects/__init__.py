@@ -2,14 +2,20 @@
 
 from frogkick.core.poses import Fix
 from frogkick.effects.acting import Acting, ActingLanes, body_at, body_effects, changed_robot, rods_of
-from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
-from frogkick.effects.body import Hull, LimbFatigue, LimbMount, LimbPlate, MunkMoment
+from frogkick.effects.base import Body, Effect, History, Parameter, Stroke, parameter
+from frogkick.effects.body import (
+    CentreMass,
+    Hull,
+    LimbFatigue,
+    LimbMount,
+    LimbPlate,
+    MunkMoment,
+    OffCentreMass,
+)
 from frogkick.effects.camera import CameraScale, FixLatency, TagOffset
-from frogkick.effects.inertia import CentreMass, OffCentreMass
 from frogkick.effects.law import Law
 from frogkick.effects.limbs import BatterySag, GroupGain, GroupLoss, LimbMemory, LimbWear, WarmUp
-from frogkick.effects.registry import BUILT_IN, effects_of, make_effect, make_effects
-from frogkick.effects.walls import Wall
+from frogkick.effects.registry import BUILT_IN, World, effects_of, make_effect, make_effects, read_world
 from frogkick.effects.water import (
     DragScale,
     MassScale,
@@ -17,52 +23,16 @@ from frogkick.effects.water import (
     SteadyCurrent,
     SteadyWrench,
     Vortex,
+    Wall,
     YawDrag,
 )
-from frogkick.effects.world import World, read_world
 
 __all__ = [
-    "BUILT_IN",
-    "Acting",
-    "ActingLanes",
-    "BatterySag",
-    "Body",
-    "CameraScale",
-    "CentreMass",
-    "DragScale",
-    "Effect",
-    "Fix",
-    "FixLatency",
-    "GroupGain",
-    "GroupLoss",
-    "History",
-    "Hull",
-    "Law",
-    "LimbFatigue",
-    "LimbMemory",
-    "LimbMount",
-    "LimbPlate",
-    "LimbWear",
-    "MassScale",
-    "MunkMoment",
-    "OffCentreMass",
-    "Parameter",
-    "ShearCurrent",
-    "SteadyCurrent",
-    "SteadyWrench",
-    "Stroke",
-    "TagOffset",
-    "Vortex",
-    "Wall",
-    "WarmUp",
-    "World",
-    "YawDrag",
-    "body_at",
-    "body_effects",
-    "changed_robot",
-    "effects_of",
-    "make_effect",
-    "make_effects",
-    "read_world",
+    "BUILT_IN", "Acting", "ActingLanes", "BatterySag", "Body", "CameraScale", "CentreMass",
+    "DragScale", "Effect", "Fix", "FixLatency", "GroupGain", "GroupLoss", "History", "Hull", "Law",
+    "LimbFatigue", "LimbMemory", "LimbMount", "LimbPlate", "LimbWear", "MassScale", "MunkMoment",
+    "OffCentreMass", "Parameter", "ShearCurrent", "SteadyCurrent", "SteadyWrench", "Stroke",
+    "TagOffset", "Vortex", "Wall", "WarmUp", "World", "YawDrag", "body_at", "body_effects",
+    "changed_robot", "effects_of", "make_effect", "make_effects", "parameter", "read_world",
     "rods_of",
-]
+]  # fmt: skip

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix, rotate
 from frogkick.der import STILL, Batch, Rods, Swimmer, Water, prepare
-from frogkick.effects.base import Body, Effect, FloatArray, History, Stroke
+from frogkick.effects.base import Body, Effect, History, Stroke
 from frogkick.effects.law import Law
 from frogkick.effects.registry import effects_of
 from frogkick.robot import Robot
@@ -121,16 +122,15 @@ class ActingLanes:
         if not self.effects:
             batch.fire(lane, limb, time_s)
             return
-        body = None
-        if self.asks_body:
-            body = body_at(time_s, batch.pose_world()[lane], batch.velocity_body()[lane])
+        asks = self.asks_body
+        body = body_at(time_s, batch.pose_world()[lane], batch.velocity_body()[lane]) if asks else None
         stroke = self.stroke(lane, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         batch.fire(lane, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
     def advance(
-        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
-    ) -> list[tuple[FloatArray, FloatArray]]:
+        self, batch: Batch, until_s: float | Float64, trace: bool = False
+    ) -> list[tuple[Float64, Float64]]:
         """Advance all lanes; effects that need it are evaluated again every LEG_S.
 
         Returns:
@@ -139,7 +139,7 @@ class ActingLanes:
         if math.isinf(self.leg_s):
             return batch.advance(until_s, trace)
         until = np.broadcast_to(np.asarray(until_s, dtype=np.float64), (batch.lanes,))
-        traces: list[list[tuple[FloatArray, FloatArray]]] = []
+        traces: list[list[tuple[Float64, Float64]]] = []
         while True:
             left_s = until - batch.time_s
             left_s[list(batch.failures)] = 0.0
@@ -148,20 +148,14 @@ class ActingLanes:
                 break
             poses, velocities = batch.pose_world(), batch.velocity_body()
             for lane in going.tolist():
-                batch.set_water(
-                    lane, self.water(batch, float(batch.time_s[lane]), poses[lane], velocities[lane])
-                )
+                now_s = float(batch.time_s[lane])
+                batch.set_water(lane, self.water(batch, now_s, poses[lane], velocities[lane]))
             ends = np.where(left_s <= 1.5 * self.leg_s, until, batch.time_s + self.leg_s)
             traces.append(batch.advance(np.where(left_s > 0.0, ends, batch.time_s), trace))
-        return [
-            (
-                np.concatenate([leg[lane][0] for leg in traces]),
-                np.concatenate([leg[lane][1] for leg in traces]),
-            )
-            for lane in range(batch.lanes)
-        ]
+        legs = [[leg[lane] for leg in traces] for lane in range(batch.lanes)]
+        return [(np.concatenate([a for a, _ in each]), np.concatenate([b for _, b in each])) for each in legs]
 
-    def water(self, body: Batch | Swimmer, time_s: float, pose: FloatArray, velocity: FloatArray) -> Water:
+    def water(self, body: Batch | Swimmer, time_s: float, pose: Float64, velocity: Float64) -> Water:
         """Return flow and external acceleration around a body, linear in the position.
 
         Args:
@@ -173,22 +167,17 @@ class ActingLanes:
             return STILL
         centre = np.asarray(pose[:2], dtype=np.float64)
         flow, push = self._flow(time_s, centre), self._push(time_s, body, pose, velocity)
-        if self._uniform:
-            return Water(flow, ((0.0, 0.0), (0.0, 0.0)), (push[0], push[1]), push[2])
-        right, up = np.array([_APART_M, 0.0]), np.array([0.0, _APART_M])
-        along_x, along_y = (
-            [
-                (ahead - behind) / (2 * _APART_M)
-                for ahead, behind in zip(
-                    self._flow(time_s, centre + side), self._flow(time_s, centre - side), strict=True
-                )
-            ]
-            for side in (right, up)
-        )
-        gradient = ((along_x[0], along_y[0]), (along_x[1], along_y[1]))
+        gradient = ((0.0, 0.0), (0.0, 0.0))
+        if not self._uniform:
+            slopes = []
+            for side in (np.array([_APART_M, 0.0]), np.array([0.0, _APART_M])):
+                ahead, behind = self._flow(time_s, centre + side), self._flow(time_s, centre - side)
+                slopes.append([(a - b) / (2 * _APART_M) for a, b in zip(ahead, behind, strict=True)])
+            along_x, along_y = slopes
+            gradient = ((along_x[0], along_y[0]), (along_x[1], along_y[1]))
         return Water(flow, gradient, (push[0], push[1]), push[2])
 
-    def _flow(self, time_s: float, position_m: FloatArray) -> tuple[float, float]:
+    def _flow(self, time_s: float, position_m: Float64) -> tuple[float, float]:
         x, y = 0.0, 0.0
         for effect in self._flows:
             more_x, more_y = _numbers(effect, "flow", effect.flow(time_s, position_m), 2)
@@ -196,7 +185,7 @@ class ActingLanes:
         return x, y
 
     def _push(
-        self, time_s: float, body: Batch | Swimmer, pose: FloatArray, velocity: FloatArray
+        self, time_s: float, body: Batch | Swimmer, pose: Float64, velocity: Float64
     ) -> tuple[float, float, float]:
         """Return accelerations, world frame: m/s^2, m/s^2, rad/s^2."""
         if not self._wrenches:
@@ -215,13 +204,8 @@ class Acting:
 
     def __init__(self, effects: Sequence[Effect], robot: Robot, rng: np.random.Generator) -> None:
         """Prepare effects that fit ``robot``; ``rng`` is for random effects."""
-        self._lane = ActingLanes(effects, robot, [rng])
-        self._rng = rng
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects."""
-        return self._lane.effects
+        self._lane, self._rng = ActingLanes(effects, robot, [rng]), rng
+        self.effects = self._lane.effects
 
     def fire(self, swimmer: Swimmer, limb: int, time_s: float) -> None:
         """Fire a limb of the swimmer, with the effects.
@@ -229,9 +213,8 @@ class Acting:
         Raises:
             InputError: see Swimmer.fire and ActingLanes.stroke.
         """
-        body = None
-        if self._lane.asks_body:
-            body = body_at(time_s, swimmer.pose_world(), swimmer.velocity_body())
+        asks = self._lane.asks_body
+        body = body_at(time_s, swimmer.pose_world(), swimmer.velocity_body()) if asks else None
         stroke = self._lane.stroke(0, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         swimmer.fire(limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
@@ -259,7 +242,7 @@ class Acting:
         return seen
 
 
-def body_at(time_s: float, pose: FloatArray, velocity: FloatArray) -> Body:
+def body_at(time_s: float, pose: Float64, velocity: Float64) -> Body:
     """Return a body from its pose (3,), world frame, and its velocity (3,), body frame."""
     x, y, heading = (float(value) for value in pose)
     forward, left, omega = (float(value) for value in velocity)

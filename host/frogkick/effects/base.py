@@ -1,11 +1,10 @@
 """The base class of effects: terms that the nominal model lacks, with named parameters, bounds and units.
 
-The same class serves three purposes: a robot's file adds it to the model, a world's file adds it to the
-simulated pool, and identification uses it as a candidate. Your own effect overrides the methods of what it
-acts on:
+The same class serves a robot's file, a world's file and identification. Your own effect overrides the methods
+of what it acts on:
 
     class Whirl(Effect):
-        parameters = (Parameter("turns_per_s", "1/s", 0.0, 0.2, 0.0),)
+        turns_per_s = parameter("1/s", 0.0, 0.2, 0.0)
 
         def flow(self, time_s, position_world_m):
             x, y = position_world_m
@@ -16,17 +15,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import Fix
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -54,6 +51,26 @@ class Parameter:
     step: float = 0.0
     grid: tuple[float, ...] = ()
     tolerance: float = 0.0
+
+    def checked(self, value: object, whose: str) -> float:
+        """Return a value for it; ``whose`` begins the error's text.
+
+        Raises:
+            InputError: no number, or not within the bounds.
+        """
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{whose} {self.name} is {value!r}, needed is a number of unit {self.unit}")
+        if not self.low <= value <= self.high:  # false for NaN
+            raise InputError(
+                f"{whose} {self.name} is {value:g}, allowed is {self.low:g} to "
+                + f"{self.high:g} {self.unit}".removesuffix(" 1")
+            )
+        return float(value)
+
+
+def parameter(unit: str, low: float, high: float, nominal: float, about: str = "", **more: Any) -> float:
+    """Declare a parameter as an attribute of an effect's class, which gives it its name; see Parameter."""
+    return cast(float, Parameter("", unit, low, high, nominal, about, **more))
 
 
 @dataclass(frozen=True)
@@ -114,7 +131,7 @@ class Effect:
 
     Attributes:
         name: name in TOML files.
-        parameters: its parameters.
+        parameters: its parameters; those declared by ``parameter`` are appended.
         options: further keys in TOML files with their defaults (None: the key is required).
         about: the physics, in one line.
         shown_by: data that could show it, in one line.
@@ -127,6 +144,10 @@ class Effect:
     about: ClassVar[str] = ""
     shown_by: ClassVar[str] = ""
     joint_only: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        declared = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter)}
+        cls.parameters += tuple(replace(value, name=name) for name, value in declared.items())
 
     def __init__(self, **values: Any) -> None:
         """Set parameters and options as attributes.
@@ -143,17 +164,7 @@ class Effect:
                 )
         for parameter in self.parameters:
             value = values.get(parameter.name, parameter.nominal)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(
-                    f"effect {self.title!r}: {parameter.name} is {value!r}, needed is a number of unit "
-                    f"{parameter.unit}"
-                )
-            if not parameter.low <= value <= parameter.high:  # false for NaN
-                raise InputError(
-                    f"effect {self.title!r}: {parameter.name} is {value:g}, allowed is {parameter.low:g} to "
-                    + f"{parameter.high:g} {parameter.unit}".removesuffix(" 1")
-                )
-            setattr(self, parameter.name, float(value))
+            setattr(self, parameter.name, parameter.checked(value, f"effect {self.title!r}:"))
         for option, default in self.options.items():
             value = values.get(option, default)
             if value is None:
@@ -191,7 +202,7 @@ class Effect:
             InputError: it does not fit.
         """
 
-    def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
+    def starts(self, low_m: Float64, high_m: Float64) -> Sequence[Mapping[str, float]]:
         """Return starting values of a search for this effect, instead of ones that the search spreads.
 
         Args:
@@ -221,11 +232,11 @@ class Effect:
         """Change a stroke and return it."""
         return stroke
 
-    def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float] | FloatArray:
+    def flow(self, time_s: float, position_world_m: Float64) -> Sequence[float] | Float64:
         """Return the velocity of the water at a position (2,), world frame, m/s."""
         return (0.0, 0.0)
 
-    def wrench(self, time_s: float, body: Body) -> Sequence[float] | FloatArray:
+    def wrench(self, time_s: float, body: Body) -> Sequence[float] | Float64:
         """Return the force (N) forward and left and the torque (N m, counter-clockwise) on the body, body
         frame."""
         return (0.0, 0.0, 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frogkick.core.poses import Fix, rotate
-from frogkick.effects.base import Effect, Parameter
+from frogkick.effects.base import Effect, parameter
 
 
 class CameraScale(Effect):
@@ -14,9 +14,7 @@ class CameraScale(Effect):
     name = "camera_scale"
     about = "fixes are scaled about the world's origin"
     shown_by = "every motion too long by one factor, whatever the action; sizes of things of known length"
-    parameters = (Parameter("scale", "1", 0.8, 1.25, 1.0, "what is measured over what is true"),)
-
-    scale: float
+    scale = parameter("1", 0.8, 1.25, 1.0, "what is measured over what is true")
 
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
         fix.x_m *= self.scale
@@ -35,15 +33,9 @@ class TagOffset(Effect):
     name = "tag_offset"
     about = "the tag sits beside the body's centre and turned against its forward axis"
     shown_by = "sideways motion in proportion to turning (place); drift to one side of the heading (angle)"
-    parameters = (
-        Parameter("forward_m", "m", -0.05, 0.05, 0.0, "tag in front of the centre"),
-        Parameter("left_m", "m", -0.05, 0.05, 0.0, "tag left of the centre"),
-        Parameter("turn_rad", "rad", -0.4, 0.4, 0.0, "tag's heading over the body's"),
-    )
-
-    forward_m: float
-    left_m: float
-    turn_rad: float
+    forward_m = parameter("m", -0.05, 0.05, 0.0, "tag in front of the centre")
+    left_m = parameter("m", -0.05, 0.05, 0.0, "tag left of the centre")
+    turn_rad = parameter("rad", -0.4, 0.4, 0.0, "tag's heading over the body's")
 
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
         x_m, y_m = rotate(fix.heading_rad, self.forward_m, self.left_m)
@@ -59,11 +51,7 @@ class FixLatency(Effect):
     name = "fix_latency"
     about = "a fix shows the robot as it was earlier than the fix says"
     shown_by = "the lag between a command and the motion that answers it"
-    parameters = (
-        Parameter("delay_s", "s", 0.0, 0.5, 0.0, "from the picture to the capture time that the fix claims"),
-    )
-
-    delay_s: float
+    delay_s = parameter("s", 0.0, 0.5, 0.0, "from the picture to the capture time that the fix claims")
 
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
         fix.capture_s += self.delay_s

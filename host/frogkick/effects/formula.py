@@ -12,17 +12,17 @@ import ast
 import math
 import operator
 import re
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 
-FloatArray = NDArray[np.float64]
 Unit = tuple[float, float, float]
 """Exponents of kilogram, metre and second; radians are pure numbers."""
 
@@ -37,11 +37,12 @@ _BASE: Mapping[str, Unit] = {
     "N": (1.0, 1.0, -2.0),
 }
 
+_FACTOR = re.compile(r"(/?)\s*([A-Za-z]+|1)(?:\^(-?\d+))?")
+
 LONGEST = 500
 """Largest number of characters of a formula."""
 
-Values = Mapping[str, float]
-_Run = Callable[[Values], float]
+_Run = Callable[[Mapping[str, Any]], Any]
 
 _ONE_AT_A_TIME = threading.Lock()
 """Held while Python builds a syntax tree: CPython 3.11 counts the depth of all threads in one number, and
@@ -55,7 +56,7 @@ def unit_of(text: str) -> Unit:
         InputError: it is none.
     """
     found = [0.0, 0.0, 0.0]
-    for sign, name, power in re.findall(r"(/?)\s*([A-Za-z]+|1)(?:\^(-?\d+))?", text):
+    for sign, name, power in _FACTOR.findall(text):
         if name not in _BASE:
             raise InputError(
                 f"unit {text!r} has {name!r}: units are made of {', '.join(_BASE)}, as in 'N s/m'"
@@ -63,7 +64,7 @@ def unit_of(text: str) -> Unit:
         exponent = float(power or 1.0) * (-1.0 if sign else 1.0)
         for k, share in enumerate(_BASE[name]):
             found[k] += exponent * share
-    if not text.strip() or re.sub(r"(/?)\s*([A-Za-z]+|1)(?:\^(-?\d+))?|[\s*]", "", text):
+    if not text.strip() or _FACTOR.sub("", text).strip(" \t\n\r\f\v*"):
         raise InputError(
             f"unit {text!r} cannot be read: write it as in 'N s/m' or 'm^2/s', '1' for a pure number"
         )
@@ -72,12 +73,8 @@ def unit_of(text: str) -> Unit:
 
 def in_words(unit: Unit) -> str:
     """Return a unit as text."""
-    parts = [
-        name if power == 1.0 else f"{name}^{power:g}"
-        for name, power in zip(("kg", "m", "s"), unit, strict=True)
-        if power
-    ]
-    return " ".join(parts) or "1"
+    powers = [(name, power) for name, power in zip(("kg", "m", "s"), unit, strict=True) if power]
+    return " ".join(name if power == 1.0 else f"{name}^{power:g}" for name, power in powers) or "1"
 
 
 def _finite(function: Callable[..., float]) -> Callable[..., float]:
@@ -122,37 +119,62 @@ FUNCTIONS: Mapping[str, tuple[int, Callable[..., float]]] = {
 }
 """Name -> number of arguments, and the function."""
 
-_OF_ARRAYS: Mapping[str, Callable[..., FloatArray]] = {
-    "min": np.minimum,
-    "max": np.maximum,
-    "hypot": np.hypot,
-    "atan2": np.arctan2,
-    **{name: getattr(np, name) for name in ("sin", "cos", "exp", "log", "tanh", "sqrt", "abs", "sign")},
-}
-
 _PURE = ("sin", "cos", "exp", "log", "tanh")
-_PAIRS: Mapping[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: _divide,
-    ast.Pow: _finite(_power),
-}
-_COMPARISONS: Mapping[type[ast.cmpop], Callable[[float, float], bool]] = {
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-}
+_COMPARISONS = {ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge}
+_SUMS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul}
 
 
-@dataclass(frozen=True)
-class _Node:
-    """A part of a formula: its function, its unit (None: a plain 0, of any unit), its value if constant."""
+def _divide_arrays(a: Float64, b: Float64) -> Float64:
+    return np.where(b == 0.0, np.where(a == 0.0, 0.0, np.inf * np.sign(a)), a / b)
 
-    run: _Run
-    unit: Unit | None
-    constant: float | None = None
+
+def _as_float(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], float]:
+    return lambda a, b: 1.0 if compare(a, b) else 0.0
+
+
+def _as_floats(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Float64]:
+    return lambda a, b: np.asarray(compare(a, b), np.float64)
+
+
+_Acts = Mapping[Any, Callable[..., Any]]
+_OF_NUMBERS: _Acts = {
+    **{name: act for name, (_, act) in FUNCTIONS.items()},
+    **_SUMS, ast.Div: _divide, ast.Pow: _finite(_power), ast.Constant: float,
+    **{kind: _as_float(compare) for kind, compare in _COMPARISONS.items()},
+}  # fmt: skip
+"""What a function's name, or a class of the syntax tree, does to numbers."""
+_OF_ARRAYS: _Acts = {
+    **{name: getattr(np, {"min": "minimum", "max": "maximum", "atan2": "arctan2"}.get(name, name))
+       for name in FUNCTIONS},
+    **_SUMS, ast.Div: _divide_arrays, ast.Pow: np.power, ast.Constant: np.float64,
+    **{kind: _as_floats(compare) for kind, compare in _COMPARISONS.items()},
+}  # fmt: skip
+"""The same to arrays."""
+
+
+def _compiled(tree: ast.expr, acts: _Acts) -> _Run:
+    """Return the function of a formula, or a part of one, that was checked."""
+    if isinstance(tree, ast.Constant):
+        value = acts[ast.Constant](tree.value)
+        return lambda _: value
+    if isinstance(tree, ast.Name):
+        return operator.itemgetter(tree.id)
+    if isinstance(tree, ast.UnaryOp):
+        inner = _compiled(tree.operand, acts)
+        return lambda v: -inner(v)
+    if isinstance(tree, ast.Call):
+        assert isinstance(tree.func, ast.Name)
+        act, parts = acts[tree.func.id], tree.args
+    elif isinstance(tree, ast.Compare):
+        act, parts = acts[type(tree.ops[0])], [tree.left, tree.comparators[0]]
+    else:
+        assert isinstance(tree, ast.BinOp)
+        act, parts = acts[type(tree.op)], [tree.left, tree.right]
+    first, *second = (_compiled(part, acts) for part in parts)
+    if not second:
+        return lambda v: act(first(v))
+    other = second[0]
+    return lambda v: act(first(v), other(v))
 
 
 @dataclass(frozen=True)
@@ -168,7 +190,7 @@ class Formula:
     _run: _Run
     _tree: ast.expr
 
-    def __call__(self, values: Values) -> float:
+    def __call__(self, values: Mapping[str, float]) -> float:
         """Return its value; infinite or NaN if it has none.
 
         Args:
@@ -176,32 +198,11 @@ class Formula:
         """
         return float(self._run(values))
 
-    def over(self, values: Mapping[str, FloatArray | float]) -> FloatArray:
+    def over(self, values: Mapping[str, Float64 | float]) -> Float64:
         """Return its values for arrays of all its names, of one shape each, or numbers."""
+        arrays = {name: np.asarray(values[name], np.float64) for name in self.names}
         with np.errstate(all="ignore"):
-            return np.asarray(_over(self._tree, values), dtype=np.float64)
-
-
-def _over(tree: ast.expr, values: Mapping[str, FloatArray | float]) -> FloatArray:
-    """The values of a part of a formula that was checked."""
-    if isinstance(tree, ast.Constant):
-        return np.array(tree.value, dtype=np.float64)
-    if isinstance(tree, ast.Name):
-        return np.asarray(values[tree.id], dtype=np.float64)
-    if isinstance(tree, ast.UnaryOp):
-        return -_over(tree.operand, values)
-    if isinstance(tree, ast.Call):
-        assert isinstance(tree.func, ast.Name)
-        return _OF_ARRAYS[tree.func.id](*(_over(each, values) for each in tree.args))
-    if isinstance(tree, ast.Compare):
-        act: Any = _COMPARISONS[type(tree.ops[0])]
-        return np.asarray(act(_over(tree.left, values), _over(tree.comparators[0], values)), np.float64)
-    assert isinstance(tree, ast.BinOp)
-    one, other = _over(tree.left, values), _over(tree.right, values)
-    if isinstance(tree.op, ast.Div):
-        return np.where(other == 0.0, np.where(one == 0.0, 0.0, np.inf * np.sign(one)), one / other)
-    act = np.power if isinstance(tree.op, ast.Pow) else _PAIRS[type(tree.op)]
-    return np.asarray(act(one, other), np.float64)
+            return np.asarray(_compiled(self._tree, _OF_ARRAYS)(arrays), np.float64)
 
 
 def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
@@ -221,44 +222,44 @@ def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
             tree = ast.parse(" ".join(text.split()), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise InputError(f"formula {text!r} cannot be read: {getattr(error, 'msg', error)}") from None
-    names: set[str] = set()
-    node = _Reader(text, units, names).node(tree)
-    if node.unit not in (None, wanted):
+    reader = _Reader(text, units)
+    unit = reader.unit(tree)
+    if unit not in (None, wanted):
         raise InputError(
-            f"formula {text!r} comes out in {in_words(node.unit or ONE)}, needed is {in_words(wanted)}: "
+            f"formula {text!r} comes out in {in_words(unit or ONE)}, needed is {in_words(wanted)}: "
             "check its units"
         )
-    return Formula(text, frozenset(names), node.run, tree)
+    return Formula(text, frozenset(reader.names), _compiled(tree, _OF_NUMBERS), tree)
 
 
 class _Reader:
-    """Turns a syntax tree into functions; anything outside the language raises an error."""
+    """Finds the unit of a syntax tree, None for a plain 0; anything outside the language raises an error."""
 
-    def __init__(self, text: str, units: Mapping[str, Unit], names: set[str]) -> None:
-        self.text, self.units, self.names = text, units, names
+    def __init__(self, text: str, units: Mapping[str, Unit]) -> None:
+        self.text, self.units = text, units
+        self.names: set[str] = set()
 
     def refuse(self, why: str) -> InputError:
         return InputError(f"formula {self.text!r}: {why}")
 
-    def node(self, tree: ast.expr) -> _Node:
+    def unit(self, tree: ast.expr) -> Unit | None:
         if isinstance(tree, ast.Constant) and type(tree.value) in (int, float):
-            value = float(tree.value)  # type: ignore[arg-type]
-            if not math.isfinite(value):
+            if not abs(tree.value) <= sys.float_info.max:  # type: ignore[arg-type]
                 raise self.refuse("a number is infinite")
-            return _Node(lambda _: value, ONE if value else None, value)
+            return ONE if tree.value else None
         if isinstance(tree, ast.Name):
-            return self.name(tree.id)
+            if tree.id not in self.units:
+                near, known = nearest_name(tree.id, self.units), ", ".join(sorted(self.units))
+                raise self.refuse(f"there is no {tree.id!r}{near}: give {known}")
+            self.names.add(tree.id)
+            return self.units[tree.id]
         if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
-            inner = self.node(tree.operand)
-            run = inner.run
-            return _Node(lambda v: -run(v), inner.unit, None if inner.constant is None else -inner.constant)
-        if isinstance(tree, ast.BinOp) and type(tree.op) in _PAIRS:
+            return self.unit(tree.operand)
+        if isinstance(tree, ast.BinOp) and type(tree.op) in _OF_NUMBERS:
             return self.pair(tree)
         if isinstance(tree, ast.Compare) and len(tree.ops) == 1 and type(tree.ops[0]) in _COMPARISONS:
-            one, other = self.node(tree.left), self.node(tree.comparators[0])
-            self.same(one, other, "compares")
-            compare, a, b = _COMPARISONS[type(tree.ops[0])], one.run, other.run
-            return _Node(lambda v: 1.0 if compare(a(v), b(v)) else 0.0, ONE)
+            self.same(self.unit(tree.left), self.unit(tree.comparators[0]), "compares")
+            return ONE
         if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and not tree.keywords:
             return self.call(tree.func.id, tree.args)
         raise self.refuse(
@@ -266,66 +267,44 @@ class _Reader:
             + ", ".join(FUNCTIONS)
         )
 
-    def name(self, name: str) -> _Node:
-        if name not in self.units:
-            raise self.refuse(
-                f"there is no {name!r}{nearest_name(name, self.units)}: give {', '.join(sorted(self.units))}"
-            )
-        self.names.add(name)
-        return _Node(operator.itemgetter(name), self.units[name])
-
-    def pair(self, tree: ast.BinOp) -> _Node:
-        one, other = self.node(tree.left), self.node(tree.right)
-        act, a, b = _PAIRS[type(tree.op)], one.run, other.run
-        constant = None
-        if one.constant is not None and other.constant is not None:
-            constant = act(one.constant, other.constant)
-        unit: Unit | None
+    def pair(self, tree: ast.BinOp) -> Unit | None:
+        one, other = self.unit(tree.left), self.unit(tree.right)
         if isinstance(tree.op, ast.Add | ast.Sub):
-            self.same(one, other, "adds")
-            unit = one.unit if one.unit is not None else other.unit
-        elif isinstance(tree.op, ast.Pow):
-            if other.unit not in (None, ONE):
-                raise self.refuse(f"an exponent is in {in_words(other.unit or ONE)}, and must be pure")
-            if one.unit not in (None, ONE) and other.constant is None:
+            return self.same(one, other, "adds")
+        if isinstance(tree.op, ast.Pow):
+            if other not in (None, ONE):
+                raise self.refuse(f"an exponent is in {in_words(other or ONE)}, and must be pure")
+            parts = ast.walk(tree.right)
+            is_plain = not any(isinstance(part, ast.Name | ast.Call | ast.Compare) for part in parts)
+            if one not in (None, ONE) and not is_plain:
                 raise self.refuse("an exponent that is no plain number needs a pure number below it")
-            unit = None if one.unit is None else _scaled(one.unit, other.constant or 0.0)
-        elif one.unit is None:
-            unit = None
-        else:
-            sign = -1.0 if isinstance(tree.op, ast.Div) else 1.0
-            more = _scaled(other.unit or ONE, sign)
-            unit = (one.unit[0] + more[0], one.unit[1] + more[1], one.unit[2] + more[2])
-            unit = None if other.unit is None and sign > 0.0 else unit
-        return _Node(lambda v: act(a(v), b(v)), unit, constant)
+            exponent = _compiled(tree.right, _OF_NUMBERS)({}) if is_plain else 0.0
+            return None if one is None else _scaled(one, exponent)
+        if one is None or (other is None and isinstance(tree.op, ast.Mult)):
+            return None
+        more = _scaled(other or ONE, -1.0 if isinstance(tree.op, ast.Div) else 1.0)
+        return one[0] + more[0], one[1] + more[1], one[2] + more[2]
 
-    def call(self, name: str, arguments: list[ast.expr]) -> _Node:
+    def call(self, name: str, arguments: list[ast.expr]) -> Unit | None:
         if name not in FUNCTIONS:
-            raise self.refuse(
-                f"there is no function {name!r}{nearest_name(name, FUNCTIONS)}: there are "
-                + ", ".join(FUNCTIONS)
-            )
-        count, act = FUNCTIONS[name]
+            near, known = nearest_name(name, FUNCTIONS), ", ".join(FUNCTIONS)
+            raise self.refuse(f"there is no function {name!r}{near}: there are {known}")
+        count, _ = FUNCTIONS[name]
         if len(arguments) != count:
             raise self.refuse(f"{name} takes {count} arguments, {len(arguments)} are given")
-        parts = [self.node(each) for each in arguments]
-        first = parts[0]
-        if name in _PURE and first.unit not in (None, ONE):
-            raise self.refuse(f"{name} takes a pure number, not one in {in_words(first.unit or ONE)}")
-        if count == 2:
-            self.same(parts[0], parts[1], f"{name} takes")
-            a, b = parts[0].run, parts[1].run
-            unit = parts[0].unit if parts[0].unit is not None else parts[1].unit
-            return _Node(lambda v: act(a(v), b(v)), ONE if name == "atan2" else unit)
-        a = first.run
-        unit = ONE if name in (*_PURE, "sign") else first.unit
-        if name == "sqrt" and unit is not None:
-            unit = _scaled(unit, 0.5)
-        return _Node(lambda v: act(a(v)), unit)
+        first, *second = (self.unit(each) for each in arguments)
+        if name in _PURE and first not in (None, ONE):
+            raise self.refuse(f"{name} takes a pure number, not one in {in_words(first or ONE)}")
+        unit = self.same(first, second[0], f"{name} takes") if second else first
+        if name in (*_PURE, "sign", "atan2"):
+            return ONE
+        return _scaled(unit, 0.5) if name == "sqrt" and unit is not None else unit
 
-    def same(self, one: _Node, other: _Node, what: str) -> None:
-        if one.unit is not None and other.unit is not None and one.unit != other.unit:
-            raise self.refuse(f"{what} {in_words(one.unit)} and {in_words(other.unit)}: units must be equal")
+    def same(self, one: Unit | None, other: Unit | None, what: str) -> Unit | None:
+        """Return the unit that both have."""
+        if one is not None and other is not None and one != other:
+            raise self.refuse(f"{what} {in_words(one)} and {in_words(other)}: units must be equal")
+        return one if one is not None else other
 
 
 def _scaled(unit: Unit, factor: float) -> Unit:

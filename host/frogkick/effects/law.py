@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import Fix, rotate
-from frogkick.effects.base import Body, Effect, FloatArray, History, Parameter, Stroke, limb_index
+from frogkick.effects.base import Body, Effect, History, Parameter, Stroke, limb_index
 from frogkick.effects.formula import Formula, Unit, parse, unit_of
 from frogkick.effects.limbs import ALL
 from frogkick.robot import Robot
@@ -64,7 +65,12 @@ _KEYS = ("value", "unit", "low", "high", "nominal", "about", "step", "tolerance"
 
 
 class Law(Effect):
-    """An effect that is a formula."""
+    """An effect that is a formula.
+
+    Attributes:
+        formulas: text of each formula, by the names of CHANNELS.
+        names: the variables and parameters that the formulas use.
+    """
 
     name = "law"
     about = "a formula for a force, a flow, a stroke or a fix"
@@ -102,8 +108,8 @@ class Law(Effect):
         if on not in CHANNELS:
             raise InputError(f"a law on {on!r}{nearest_name(str(on), CHANNELS)}: give {', '.join(CHANNELS)}")
         self.on, self.limb, self._title = on, limb, str(title)
-        self._declared = {name: dict(given) for name, given in (parameters or {}).items()}
-        self.parameters = tuple(_parameter(name, given) for name, given in self._declared.items())
+        declared = {name: dict(given) for name, given in (parameters or {}).items()}
+        self.parameters = tuple(_parameter(name, given) for name, given in declared.items())
         units = {p.name: unit_of(p.unit) for p in self.parameters}
         known = {name: unit_of(unit) for name, unit in NAMES[on].items()}
         clash = sorted(set(units) & {*known, *CHANNELS[on], "on", "limb", "title", "parameters", "name"})
@@ -119,17 +125,16 @@ class Law(Effect):
         if not formulas:
             raise InputError(f"a law on {on!r} has no formula: give one of {', '.join(CHANNELS[on])}")
         for parameter in self.parameters:
-            value = values.get(parameter.name, self._declared[parameter.name].get("value", parameter.nominal))
-            _check_value(parameter, value)
-            setattr(self, parameter.name, float(value))
-        self._texts = {key: str(text) for key, text in formulas.items()}
+            value = values.get(parameter.name, declared[parameter.name].get("value", parameter.nominal))
+            setattr(self, parameter.name, parameter.checked(value, "a law's"))
+        self.formulas = {key: str(text) for key, text in formulas.items()}
+        known |= units
         self._formulas = {
-            key: _parsed(key, text, {**known, **units}, unit_of(CHANNELS[on][key]))
-            for key, text in self._texts.items()
+            key: _parsed(key, text, dict(known), unit_of(CHANNELS[on][key]))
+            for key, text in self.formulas.items()
         }
-        self._others = sorted(
-            name for each in self._formulas.values() for name in each.names if name not in {**known, **units}
-        )
+        self.names = frozenset().union(*(formula.names for formula in self._formulas.values()))
+        self._others = sorted(self.names - set(known))
         self._given = {p.name: self.value(p.name) for p in self.parameters}
         self._limbs: dict[str, int] = {}
         self._drawn = True
@@ -148,34 +153,24 @@ class Law(Effect):
         }
         limb = {"limb": self.limb} if self.on == "stroke" else {}
         named = {"title": self._title} if self._title != "law" else {}
-        return {"name": "law", **named, "on": self.on, **limb, **self._texts, "parameters": declared}
+        return {"name": "law", **named, "on": self.on, **limb, **self.formulas, "parameters": declared}
 
     @property
     def uniform(self) -> bool:
-        return not (self._uses("x_m") or self._uses("y_m"))
+        return not self.names & {"x_m", "y_m"}
 
     @property
     def asks_body(self) -> bool:
-        return self.on == "stroke" and any(self._uses(name) for name in _BODY if name != "time_s")
-
-    @property
-    def formulas(self) -> Mapping[str, str]:
-        """The formulas as text, by the names of CHANNELS."""
-        return self._texts
-
-    @property
-    def names(self) -> frozenset[str]:
-        """The variables and parameters that the formulas use."""
-        return frozenset().union(*(formula.names for formula in self._formulas.values()))
+        return self.on == "stroke" and bool(self.names & (set(_BODY) - {"time_s"}))
 
     @property
     def in_tables(self) -> bool:
-        return self.on in ("wrench", "stroke") and not any(self._uses(name) for name in NOT_IN_TABLES)
+        return self.on in ("wrench", "stroke") and not self.names & set(NOT_IN_TABLES)
 
     @property
     def by_chance(self) -> bool:
         """Whether its formulas depend on chance."""
-        return self._uses("chance")
+        return "chance" in self.names
 
     def likeliest(self) -> Effect:
         if not self.by_chance:
@@ -192,9 +187,6 @@ class Law(Effect):
             if name not in self._limbs:
                 limb_index(robot, self, name.removeprefix("since_").removesuffix("_s"))
 
-    def _uses(self, name: str) -> bool:
-        return any(name in formula.names for formula in self._formulas.values())
-
     def _all(self, values: Mapping[str, float], keys: Sequence[str]) -> list[float]:
         """Return the values of the formulas of these keys, 0 for those without one."""
         return [self._formulas[key](values) if key in self._formulas else 0.0 for key in keys]
@@ -203,29 +195,27 @@ class Law(Effect):
         """Return a random number from 0 to 1; of ``likeliest`` always the median."""
         return float(rng.random()) if self.by_chance and self._drawn else 0.5
 
-    def over(self, values: Mapping[str, FloatArray | float]) -> dict[str, FloatArray]:
+    def over(self, values: Mapping[str, Float64 | float]) -> dict[str, Float64]:
         """Return the results of the formulas for arrays of the names that they use, and of parameters if
         given."""
         given = {**self._given, **values}
         return {key: formula.over(given) for key, formula in self._formulas.items()}
 
     def __repr__(self) -> str:
-        formulas = [f"{key}={text!r}" for key, text in self._texts.items()]
+        formulas = [f"{key}={text!r}" for key, text in self.formulas.items()]
         return f"Law({self.on}: {', '.join([*formulas, *(f'{k}={v:g}' for k, v in self._given.items())])})"
 
 
 class _OnWrench(Law):
     def wrench(self, time_s: float, body: Body) -> Sequence[float]:
-        forward, left, x, y, torque = self._all(
-            {**self._given, **_seen(body), "time_s": time_s},
-            ("forward_n", "left_n", "x_n", "y_n", "torque_nm"),
-        )
+        given = {**self._given, **_seen(body), "time_s": time_s}
+        forward, left, x, y, torque = self._all(given, ("forward_n", "left_n", "x_n", "y_n", "torque_nm"))
         along, aside = rotate(-body.pose_world[2], x, y)
         return (forward + along, left + aside, torque)
 
 
 class _OnFlow(Law):
-    def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float]:
+    def flow(self, time_s: float, position_world_m: Float64) -> Sequence[float]:
         x, y = float(position_world_m[0]), float(position_world_m[1])
         return self._all({**self._given, "time_s": time_s, "x_m": x, "y_m": y}, ("x_mps", "y_mps"))
 
@@ -258,13 +248,9 @@ class _OnStroke(Law):
 class _OnFix(Law):
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
         values = {
-            **self._given,
-            "time_s": fix.capture_s,
-            "x_m": fix.x_m,
-            "y_m": fix.y_m,
-            "heading_rad": fix.heading_rad,
-            "chance": self._chance(rng),
-        }
+            **self._given, "time_s": fix.capture_s, "x_m": fix.x_m, "y_m": fix.y_m,
+            "heading_rad": fix.heading_rad, "chance": self._chance(rng),
+        }  # fmt: skip
         x, y, heading, delay = self._all(values, ("x_m", "y_m", "heading_rad", "delay_s"))
         fix.x_m += x
         fix.y_m += y
@@ -312,9 +298,7 @@ def _parameter(name: str, given: Mapping[str, Any]) -> Parameter:
             + (f"has {wrong[0]!r}{nearest_name(wrong[0], _KEYS)}" if wrong else "has no unit")
             + f": give {', '.join(_KEYS)}"
         )
-    numbers = {
-        key: given[key] for key in ("value", "low", "high", "nominal", "step", "tolerance") if key in given
-    }
+    numbers = {key: given[key] for key in _KEYS if key in given and key not in ("unit", "about")}
     for key, number in numbers.items():
         if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
             raise InputError(f"a law's parameter {name!r}: {key} is {number!r}, needed is a finite number")
@@ -329,15 +313,3 @@ def _parameter(name: str, given: Mapping[str, Any]) -> Parameter:
     step, tolerance = (float(numbers.get(key, 0.0)) for key in ("step", "tolerance"))
     about = str(given.get("about", ""))
     return Parameter(name, str(given["unit"]), low, high, nominal, about, step, tolerance=tolerance)
-
-
-def _check_value(parameter: Parameter, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(
-            f"a law's {parameter.name} is {value!r}, needed is a number of unit {parameter.unit}"
-        )
-    if not parameter.low <= value <= parameter.high:
-        raise InputError(
-            f"a law's {parameter.name} is {value:g}, allowed is {parameter.low:g} to {parameter.high:g} "
-            f"{parameter.unit}"
-        )

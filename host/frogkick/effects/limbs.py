@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
-from frogkick.effects.base import Effect, FloatArray, History, Parameter, Stroke, limb_index
+from frogkick.effects.base import Effect, History, Stroke, limb_index, parameter
 from frogkick.robot import Robot
 
 ALL = "all"
@@ -44,17 +45,12 @@ class LimbWear(Effect):
     name = "limb_wear"
     about = "a limb, or all, straighten by a share of the measured stroke, later, and curl back more slowly"
     shown_by = "forward and turn of the actions that fire the limb, against those that do not"
-    parameters = (
-        Parameter("gain", "1", 0.3, 1.5, 1.0, "share of the measured stroke"),
-        Parameter("delay_s", "s", 0.0, 0.3, 0.0, "from the pulse to the stroke", 0.005, DELAYS_S),
-        Parameter("duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long it takes to curl back"),
-    )
+    gain = parameter("1", 0.3, 1.5, 1.0, "share of the measured stroke")
+    delay_s = parameter("s", 0.0, 0.3, 0.0, "from the pulse to the stroke", step=0.005, grid=DELAYS_S)
+    duration_scale = parameter("1", 0.5, 4.0, 1.0, "how many times as long it takes to curl back")
     options = {"limb": ALL}
 
     limb: str
-    gain: float
-    delay_s: float
-    duration_scale: float
 
     def check(self, robot: Robot) -> None:
         if self.limb != ALL:
@@ -74,13 +70,8 @@ class LimbMemory(Effect):
     name = "limb_memory"
     about = "a stroke loses a share that fades with the time since the same limb's last one"
     shown_by = "an action after one that fired the same limbs, against the same action after others"
-    parameters = (
-        Parameter("loss", "1", -0.3, 0.8, 0.0, "share lost right after a stroke"),
-        Parameter("fade_s", "s", 0.2, 10.0, 1.5, "time in which what is lost falls to 37 %"),
-    )
-
-    loss: float
-    fade_s: float
+    loss = parameter("1", -0.3, 0.8, 0.0, "share lost right after a stroke")
+    fade_s = parameter("s", 0.2, 10.0, 1.5, "time in which what is lost falls to 37 %")
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         stroke.gain *= 1.0 - self.loss * math.exp(-history.since_s(stroke.index, stroke.time_s) / self.fade_s)
@@ -93,13 +84,8 @@ class WarmUp(Effect):
     name = "warm_up"
     about = "strokes lose a share that fades with the number of strokes since the start"
     shown_by = "the first periods of each run against its later ones"
-    parameters = (
-        Parameter("loss", "1", -0.5, 0.9, 0.0, "share lost at the first stroke"),
-        Parameter("fade_strokes", "1", 0.5, 20.0, 2.0, "strokes in which it falls to 37 %"),
-    )
-
-    loss: float
-    fade_strokes: float
+    loss = parameter("1", -0.5, 0.9, 0.0, "share lost at the first stroke")
+    fade_strokes = parameter("1", 0.5, 20.0, 2.0, "strokes in which it falls to 37 %")
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         stroke.gain *= 1.0 - self.loss * math.exp(-history.pulses / self.fade_strokes)
@@ -113,9 +99,7 @@ class BatterySag(Effect):
     in_tables = False
     about = "strokes lose a share that grows evenly with time"
     shown_by = "long runs: the same action early and late"
-    parameters = (Parameter("loss_per_min", "1/min", 0.0, 0.5, 0.0, "share lost each minute"),)
-
-    loss_per_min: float
+    loss_per_min = parameter("1/min", 0.0, 0.5, 0.0, "share lost each minute")
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         start_s = history.strokes[0][0] if history.strokes else stroke.time_s
@@ -129,15 +113,10 @@ class GroupLoss(Effect):
     name = "group_loss"
     about = "a stroke loses a share that fades with the time since other limbs fired"
     shown_by = "actions of both groups against those of one; open-loop swims over the phase"
-    parameters = (
-        Parameter("loss", "1", -0.3, 0.8, 0.0, "share lost by limbs that fire at once after others"),
-        Parameter("fade_s", "s", 0.02, 1.0, 0.15, "time in which what is lost falls to 37 %"),
-    )
+    loss = parameter("1", -0.3, 0.8, 0.0, "share lost by limbs that fire at once after others")
+    fade_s = parameter("s", 0.02, 1.0, 0.15, "time in which what is lost falls to 37 %")
 
-    loss: float
-    fade_s: float
-
-    def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
+    def starts(self, low_m: Float64, high_m: Float64) -> Sequence[Mapping[str, float]]:
         """Return one start: the delay between groups is nearly constant, so any fading will do."""
         return ({"fade_s": 0.15},)
 
@@ -155,15 +134,8 @@ class GroupGain(GroupEffect):
     name = "group_gain"
     about = "limbs whose name has a word in it (front, rear, left, right) straighten by a share of the stroke"
     shown_by = "actions of that group against those of the others"
-    parameters = (
-        Parameter("gain", "1", 0.3, 1.7, 1.0, "share of the measured stroke"),
-        Parameter(
-            "duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long as measured it takes to curl back"
-        ),
-    )
-
-    gain: float
-    duration_scale: float
+    gain = parameter("1", 0.3, 1.7, 1.0, "share of the measured stroke")
+    duration_scale = parameter("1", 0.5, 4.0, 1.0, "how many times as long as measured it takes to curl back")
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         if self.acts_on(stroke.limb):

@@ -1,4 +1,4 @@
-"""Effects by name, from tables of a TOML file, or from a user's own Python file."""
+"""Effects by name, from tables of a TOML file, from a user's own Python file; and worlds, which hold them."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import hashlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
-from frogkick.effects import body, camera, inertia, law, limbs, walls, water
+from frogkick.effects import body, camera, law, limbs, water
 from frogkick.effects.base import Effect
 from frogkick.robot import Robot
 
 
 def _built_in() -> dict[str, type[Effect]]:
     found = {}
-    for module in (limbs, body, inertia, water, walls, camera, law):
+    for module in (limbs, body, water, camera, law):
         for _, kind in inspect.getmembers(module, inspect.isclass):
             if issubclass(kind, Effect) and vars(kind).get("name"):
                 found[kind.name] = kind
@@ -133,3 +135,50 @@ def _construct(kind: type, values: dict[str, Any]) -> Effect:
             f"effect {kind.__name__!r} cannot be made with {values}: {type(error).__name__}: {error}"
         ) from None
     return made
+
+
+@dataclass(frozen=True)
+class World:
+    """The effects in the simulated pool, which no model contains.
+
+    Attributes:
+        effects: a sequence of effects, in order.
+
+    Raises:
+        InputError: not a sequence of effects.
+    """
+
+    effects: Sequence[Effect] = ()
+
+    def __post_init__(self) -> None:
+        given = self.effects
+        if not isinstance(given, Iterable) or not all(isinstance(effect, Effect) for effect in given):
+            raise InputError(
+                f"effects of a world are {given!r}: give a list, as [fk.effects.LimbWear(limb='rear_left')]"
+            )
+        object.__setattr__(self, "effects", tuple(given))
+
+
+def read_world(path: World | Path | str) -> World:
+    """Read a world's TOML file; a world is returned unchanged.
+
+    Raises:
+        InputError: no such file, not TOML, a key that is not ``effect``, or an invalid effect.
+    """
+    if isinstance(path, World):
+        return path
+    if not isinstance(path, Path | str):
+        raise InputError(f"world is a {type(path).__name__}: give fk.World([...]) of effects, or a TOML file")
+    file = existing_file(path, "world file")
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"world file {str(path)!r} cannot be read as TOML: {error}") from None
+    wrong = sorted(set(content) - {"effect"})
+    tables = content.get("effect", [])
+    if wrong or not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise InputError(
+            f"world file {str(path)!r} has {', '.join(wrong) or 'an effect that is no table'}: "
+            "a world has [[effect]] tables and nothing else"
+        )
+    return World(make_effects(tables, file.parent))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import InputError
 from frogkick.effects import BUILT_IN, Effect, Parameter
 from frogkick.effects.registry import effect_classes, make_effect
-from frogkick.effects.walls import OUTWARD
+from frogkick.effects.water import OUTWARD
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]

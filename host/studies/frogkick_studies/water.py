@@ -26,7 +26,7 @@ from frogkick.core.progress import shown
 from frogkick.der import Gait
 from frogkick.effects import make_effect
 from frogkick.effects.acting import LEG_S
-from frogkick.effects.inertia import frame_mass_kg, gyration_m
+from frogkick.effects.body import frame_mass_kg, gyration_m
 from frogkick.identification.calibrated import (
     NOISES,
     GaussNewton,

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from tests.der.rig import STILL, straight_rod
 
-from frogkick.der.batch import Batch
+from frogkick.der import Batch, Rods
 from frogkick.der.schedule import COARSEST_AT_REST
+from frogkick.robot import load_robot
 
 NODES = 128
 LENGTH_M = 0.5
@@ -43,20 +44,11 @@ def frogkick_rod(runs: int, width: int) -> tuple[float, float]:
         stretching_n=MODULUS_PA * AREA_M2,
         natural_per_m=NATURAL_PER_M,
     )
+    rods = Rods(load_robot("frog2022"), mesh, plan, STILL)
     found, deflection = [], 0.0
     for run in range(runs + 1):  # the first one compiles
         still = np.zeros((width, 3))
-        batch = Batch(
-            mesh,
-            plan,
-            [STILL] * width,
-            still,
-            still,
-            limbs=0,
-            time_s=0.0,
-            step_s=FROGKICK_STEP_S / COARSEST_AT_REST,
-            width=width,
-        )
+        batch = Batch([rods] * width, still, still, 0.0, FROGKICK_STEP_S / COARSEST_AT_REST, width)
         began = time.process_time()
         batch.advance(SIMULATED_S)
         if run:

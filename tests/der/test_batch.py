@@ -102,17 +102,7 @@ def test_a_hard_step_is_cut_in_one_lane_only() -> None:
 
 def test_a_failed_lane_stands_still_and_its_batch_can_go_on() -> None:
     velocity = np.array([[0.02, 0.0, 0.0], [0.0, 0.0, 1e160]])
-    batch = Batch(
-        RODS.mesh,
-        RODS.symbolic,
-        [RODS.actuation] * 2,
-        np.zeros((2, 3)),
-        velocity,
-        limbs=4,
-        time_s=0.0,
-        step_s=0.001,
-        width=8,
-    )
+    batch = Batch([RODS] * 2, np.zeros((2, 3)), velocity, 0.0, 0.001)
     for until in (0.1, 0.2):
         batch.advance(until)
     assert batch.time_s.tolist() == [0.2, 0.0]

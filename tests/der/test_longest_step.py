@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from frogkick.der import WIDTH, Batch, prepare
-from frogkick.der.swimmer import batch_of
 from frogkick.robot import load_robot
 
 LONGEST_S = 8e-3
@@ -18,7 +17,7 @@ UNTIL_S = ((0.05, 0.2, 0.05), (0.9, 0.9, 0.05), (1.3, 1.4, 1.2))
 def both(step_s: float) -> list[Batch]:
     rods, still = prepare(load_robot("frog2022")), np.zeros_like(POSES)
     longest = (LONGEST_S, np.inf)
-    return [batch_of([rods] * len(POSES), POSES, still, 0.0, step_s, WIDTH, each) for each in longest]
+    return [Batch([rods] * len(POSES), POSES, still, 0.0, step_s, WIDTH, each) for each in longest]
 
 
 def fire(batch: Batch, number: int) -> None:

@@ -13,10 +13,9 @@ from tests.der.energy import bending_energy, drag_power, kinetic_energy, stretch
 from tests.der.rig import STILL, straight_rod
 from tests.der.single import simulate_action
 
-from frogkick.der import Batch, Gait, Swimmer, Trajectory, prepare, simulate_gaits
+from frogkick.der import STEP_S, Batch, Gait, Rods, Swimmer, Trajectory, prepare, simulate_gaits
 from frogkick.der.mesh import Mesh
 from frogkick.der.schedule import COARSEST_AT_REST
-from frogkick.der.swimmer import STEP_S
 from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.robot import Robot, load_robot
 
@@ -33,17 +32,8 @@ def alone(
 ) -> Batch:
     """One rod without limbs, in equal steps."""
     pose = np.array([[0.0, 0.0, heading]])
-    return Batch(
-        mesh,
-        symbolic,
-        [STILL],
-        pose,
-        np.array([velocity_body]),
-        limbs=0,
-        time_s=0.0,
-        step_s=step_s / COARSEST_AT_REST,
-        width=1,
-    )
+    rods = Rods(ROBOT, mesh, symbolic, STILL)
+    return Batch([rods], pose, np.array([velocity_body]), 0.0, step_s / COARSEST_AT_REST, width=1)
 
 
 def test_a_free_rod_vibrates_at_its_textbook_frequency() -> None:

@@ -12,12 +12,11 @@ from tests.der.energy import bending_energy, kinetic_energy, stretching_energy
 from tests.der.rig import straight_rod
 from tests.der.test_physics import alone
 
-from frogkick.der import Batch, Swimmer, prepare
+from frogkick.der import STEP_S, Batch, Swimmer, prepare
 from frogkick.der.lanes import lane_zeros
 from frogkick.der.mesh import Mesh
 from frogkick.der.plates import add_plate_forces, add_plate_inertia
 from frogkick.der.rods import add_forces, edges_of
-from frogkick.der.swimmer import STEP_S, batch_of
 from frogkick.effects import changed_robot, make_effect
 from frogkick.effects.body import plate_mass_kg_per_m
 from frogkick.robot import Robot, load_robot
@@ -217,7 +216,7 @@ def test_strokes_converge_at_second_order() -> None:
 def _swum(robot: Robot, width: int, lanes: int) -> np.ndarray:
     rods = prepare(robot)
     velocity = np.array([[0.01 * k, 0.0, 0.1 * k] for k in range(lanes)])
-    batch: Batch = batch_of([rods] * lanes, np.zeros((lanes, 3)), velocity, 0.0, STEP_S, width)
+    batch: Batch = Batch([rods] * lanes, np.zeros((lanes, 3)), velocity, 0.0, STEP_S, width)
     for lane in range(lanes):
         for limb in range(4):
             batch.fire(lane, limb, 0.03 * limb)

@@ -64,17 +64,7 @@ def test_a_lane_in_still_water_does_not_notice_that_its_neighbour_s_moves() -> N
     rest, width = np.zeros((2, 3)), count(2, 2, 8)  # 2 is compiled for this test alone
     ends = []
     for neighbour in (STILL, Water(flow_mps=(0.05, 0.02), turn_rad_s2=0.1)):
-        batch = Batch(
-            RODS.mesh,
-            RODS.symbolic,
-            [RODS.actuation] * 2,
-            rest,
-            rest,
-            limbs=4,
-            time_s=0.0,
-            step_s=0.001,
-            width=width,
-        )
+        batch = Batch([RODS] * 2, rest, rest, 0.0, 0.001, width)
         batch.set_water(1, neighbour)
         for lane in range(2):
             batch.fire(lane, 0, 0.0)

@@ -13,8 +13,7 @@ from tests.conftest import count, from_ci
 from tests.identification import made
 
 from frogkick.cli.main import run_command
-from frogkick.der import STEP_S, WIDTH
-from frogkick.der.swimmer import batch_of
+from frogkick.der import STEP_S, WIDTH, Batch
 from frogkick.effects import rods_of
 from frogkick.library import Library, fit_table, quantise, sample_library, write_library
 from frogkick.library.transitions import fire_action, lane_effects
@@ -65,7 +64,7 @@ def test_the_rods_tell_to_the_last_bit_what_sequences_lead_to() -> None:
     robot = replace(ROBOT, actions=ROBOT.actions[3:6])
     rng = np.random.default_rng(3)
     begin = rng.normal(0.0, 0.3, (lanes, 3))
-    batch = batch_of([rods_of(robot)] * lanes, begin, np.zeros_like(begin), 0.0, STEP_S, WIDTH)
+    batch = Batch([rods_of(robot)] * lanes, begin, np.zeros_like(begin), 0.0, STEP_S, WIDTH)
     acting = lane_effects(robot, lanes)
     period = robot.period_s
 

@@ -1,10 +1,11 @@
 """Planar discrete elastic rods in water: mesh, forces, solver, integrator, swimmers."""
 
 from frogkick.der.batch import WIDTH, Batch, Checkpoint, Failure
-from frogkick.der.gaits import Gait, GaitTrack, simulate_gait_tracks, simulate_gaits
-from frogkick.der.strokes import Motions, program_of, simulate_many
-from frogkick.der.swimmer import STEP_S, Rods, Swimmer, prepare
-from frogkick.der.trajectory import Trajectory, simulate_actions
+from frogkick.der.mesh import Rods, prepare
+from frogkick.der.schedule import STEP_S
+from frogkick.der.strokes import Motions, Track, program_of, simulate_many
+from frogkick.der.swimmer import Swimmer
+from frogkick.der.trajectory import Gait, Trajectory, simulate_actions, simulate_gait_tracks, simulate_gaits
 from frogkick.der.water import STILL, Water
 
 __all__ = [
@@ -15,10 +16,10 @@ __all__ = [
     "Checkpoint",
     "Failure",
     "Gait",
-    "GaitTrack",
     "Motions",
     "Rods",
     "Swimmer",
+    "Track",
     "Trajectory",
     "Water",
     "prepare",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +14,11 @@ from frogkick.core.poses import rotation
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
-from frogkick.der.mesh import Mesh
+from frogkick.der.mesh import Mesh, Rods
 from frogkick.der.schedule import Schedule, Stroke
-from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, workspace_of
+from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, Nodes, workspace_of
 from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.der.water import STILL, WATER, Water
-from frogkick.robot import Actuation
 
 WIDTH = 8  # lanes: processors have vectors of 8 float64; the work space of 16 lanes exceeds the cache
 MAX_HALVINGS = 8
@@ -47,33 +46,23 @@ class Failure:
 class _State:
     """Positions about each lane's moving origin, velocities, accelerations, and work space."""
 
-    def __init__(self, mesh: Mesh, symbolic: SymbolicFactorisation, limbs: int, width: int) -> None:
-        self.mesh, self.symbolic, self.limbs, self.width = mesh, symbolic, limbs, width
-        n = len(mesh.mass_kg)
-        self.x_m: SimdArray = lane_zeros((n, 2), width)
-        self.v_mps: SimdArray = lane_zeros((n, 2), width)
-        self.a_mps2: SimdArray = lane_zeros((n, 2), width)
+    def __init__(self, mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> None:
+        self.mesh, self.symbolic, self.width = mesh, symbolic, width
+        self.nodes = Nodes(*(lane_zeros((len(mesh.mass_kg), 2), width) for _ in range(3)))
         self.water = [STILL] * width
         self._workspace = workspace_of(mesh, symbolic, width)
 
-    @property
-    def nodes(self) -> tuple[SimdArray, SimdArray, SimdArray]:
-        """Positions, velocities, accelerations."""
-        return self.x_m, self.v_mps, self.a_mps2
-
     def pick(self, lanes: Sequence[int]) -> _State:
         """Return a copy of ``width`` lanes, which may repeat."""
-        picked = _State(self.mesh, self.symbolic, self.limbs, self.width)
+        picked = _State(self.mesh, self.symbolic, self.width)
         for to, lane in enumerate(lanes):
             self.copy_lane(lane, picked, to)
         return picked
 
     def start(self) -> None:
         """Set the accelerations from the forces on limbs at rest."""
-        active = lane_zeros((1, 2 * self.limbs + 2), self.width)
-        set_accelerations(
-            self.mesh, self._workspace, self.x_m, self.v_mps, active, self._water(), self.a_mps2
-        )
+        active = lane_zeros((1, 2 * self.mesh.limbs + 2), self.width)
+        set_accelerations(self.mesh, self._workspace, self.nodes, active, self._water())
 
     def _water(self) -> SimdArray:
         """Return the water of all lanes; of length 0, which costs nothing, if it is still everywhere."""
@@ -103,9 +92,7 @@ class _State:
             self.mesh,
             self.symbolic,
             self._workspace,
-            self.x_m,
-            self.v_mps,
-            self.a_mps2,
+            self.nodes,
             lengths,
             active,
             self._water(),
@@ -123,7 +110,7 @@ class _State:
     def motion(self) -> Float64:
         """Return (width, MOTION) poses about the origins, velocities, unweighted means."""
         sums = lane_zeros((1, SUMS), self.width)
-        set_sums(self.mesh, self.x_m, self.v_mps, 0, sums)
+        set_sums(self.mesh, self.nodes.x_m, self.nodes.v_mps, 0, sums)
         return np.asarray(body_motion(np.ascontiguousarray(lane_floats(sums)[0].T)))
 
     def copy_lane(self, lane: int, other: _State, to: int) -> None:
@@ -131,43 +118,6 @@ class _State:
         for mine, theirs in zip(self.nodes, other.nodes, strict=True):
             lane_floats(theirs)[..., to] = lane_floats(mine)[..., lane]
         other.water[to] = self.water[lane]
-
-
-class _SingleLane:
-    """One lane alone, to repeat steps that failed in the batch."""
-
-    def __init__(
-        self,
-        state: _State,
-        laid: Callable[[Float64], tuple[SimdArray, SimdArray]],
-        trace: bool,
-        residual: float,
-    ) -> None:
-        self._state, self._laid, self._trace = state, laid, trace
-        self.residual = residual  # of the last step that failed
-        self.corrections = 0.0
-        self.ends: list[Float64] = []
-        self.rows: list[Float64] = []
-
-    def take_steps(self, times_s: Float64, factor_every: int) -> int:
-        """Take steps, and return how many succeeded."""
-        taken = len(times_s) - 1
-        report, (rows,) = self._state.run(*self._laid(times_s), [taken], factor_every, self._trace)
-        self.corrections += float(report[2, 0])
-        if report[0, 0] >= 0.0:
-            taken, self.residual = int(report[0, 0]), float(report[1, 0])
-        self.ends.append(times_s[1 : taken + 1])
-        self.rows.append(rows[:taken])
-        return taken
-
-    def bisect_step(self, time_s: float, until_s: float) -> float:
-        """Bisect a step into 2, 4, 8 ... parts with the full Newton method; return the time reached."""
-        for halving in range(1, MAX_HALVINGS + 1):
-            pieces = np.linspace(time_s, until_s, (1 << halving) + 1)
-            time_s = float(pieces[self.take_steps(pieces, 1)])
-            if time_s == until_s:
-                break
-        return time_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,13 +141,9 @@ class Batch:
 
     def __init__(
         self,
-        mesh: Mesh,
-        symbolic: SymbolicFactorisation,
-        actuations: Sequence[Actuation],
+        rods: Sequence[Rods],
         pose_world: Float64,
         velocity_body: Float64,
-        *,
-        limbs: int,
         time_s: float,
         step_s: float,
         width: int = WIDTH,
@@ -206,29 +152,28 @@ class Batch:
         """Place rigidly moving robots with all limbs at rest.
 
         Args:
-            mesh, symbolic: of the robot.
-            actuations: for each lane the effect of its strokes on a limb.
+            rods: of each lane; they may differ only in their strokes.
             pose_world: (lanes, 3) x, y (m), heading (rad), world frame, finite.
             velocity_body: (lanes, 3) forward, left (m/s), turn rate (rad/s), body frame, finite.
-            limbs: number of limbs of the robot.
             time_s: initial time of all clocks.
             step_s: finest time step, s, positive.
             width: number of lanes, at least as many as robots; the other lanes are idle.
             longest_s: upper bound of the steps, in addition to the step-size profile.
         """
-        self.lanes = len(actuations)
+        mesh, self.lanes = rods[0].mesh, len(rods)
+        self.limbs = mesh.limbs
         self.time_s = np.full(self.lanes, float(time_s))
         self.failures: dict[int, Failure] = {}
         self.corrections = np.zeros(self.lanes)
-        self._schedule = Schedule(actuations, limbs, step_s, longest_s)
-        self._state = _State(mesh, symbolic, limbs, width)
+        self._schedule = Schedule([each.actuation for each in rods], self.limbs, step_s, longest_s)
+        self._state = _State(mesh, rods[0].symbolic, width)
         self._alone: _State | None = None
         # Nodes are kept relative to a moving origin: far out, rounding would spoil strains of 1e-9.
         self._origin = np.array(pose_world[:, :2], dtype=np.float64)
         x, v = place_nodes(mesh, pose_world[:, 2], velocity_body)
         chosen = [*range(self.lanes), *[0] * (width - self.lanes)]  # idle lanes hold a valid state
-        lane_floats(self._state.x_m)[...] = x[..., chosen]
-        lane_floats(self._state.v_mps)[...] = v[..., chosen]
+        lane_floats(self._state.nodes.x_m)[...] = x[..., chosen]
+        lane_floats(self._state.nodes.v_mps)[...] = v[..., chosen]
         self._state.start()
 
     def fire(
@@ -343,37 +288,54 @@ class Batch:
             Times and rows, as ``advance`` does, about the lane's origin.
         """
         if self._alone is None:
-            self._alone = _State(self._state.mesh, self._state.symbolic, self._state.limbs, 1)
+            self._alone = _State(self._state.mesh, self._state.symbolic, 1)
         alone = self._alone
         self._state.copy_lane(lane, alone, 0)
+        ends, rows = [times_s[1 : step + 1]], [before[:step]]
 
-        def laid(times: Float64) -> tuple[SimdArray, SimdArray]:
-            return self._schedule.laid(times[None], np.array([len(times)]), 1, lane)
+        def take_steps(times: Float64, factor_every: int) -> int:
+            """Take steps, and return how many succeeded."""
+            nonlocal residual
+            taken = len(times) - 1
+            laid = self._schedule.laid(times[None], np.array([len(times)]), 1, lane)
+            report, (moved,) = alone.run(*laid, [taken], factor_every, len(before) > 0)
+            self.corrections[lane] += float(report[2, 0])
+            if report[0, 0] >= 0.0:
+                taken, residual = int(report[0, 0]), float(report[1, 0])
+            ends.append(times[1 : taken + 1])
+            rows.append(moved[:taken])
+            return taken
 
-        single = _SingleLane(alone, laid, len(before) > 0, residual)
-        single.ends, single.rows = [times_s[1 : step + 1]], [before[:step]]
+        def bisect_step(time_s: float, until_s: float) -> float:
+            """Bisect a step into 2, 4, 8 ... parts with the full Newton method; return the time reached."""
+            for halving in range(1, MAX_HALVINGS + 1):
+                pieces = np.linspace(time_s, until_s, (1 << halving) + 1)
+                time_s = float(pieces[take_steps(pieces, 1)])
+                if time_s == until_s:
+                    break
+            return time_s
+
         reached, now, last = float(times_s[step]), step, len(times_s) - 1
         while now < last:
-            reached = single.bisect_step(float(times_s[now]), float(times_s[now + 1]))
+            reached = bisect_step(float(times_s[now]), float(times_s[now + 1]))
             if reached < times_s[now + 1]:
                 break
             now += 1
             if now < last:
-                now += single.take_steps(times_s[now:], FACTOR_EVERY)
+                now += take_steps(times_s[now:], FACTOR_EVERY)
                 reached = float(times_s[now])
-        self.corrections[lane] += single.corrections
         alone.copy_lane(0, self._state, lane)
         self.time_s[lane] = reached
         if now < last:
             pose, velocity = self.pose_world()[lane].tolist(), self.velocity_body()[lane].tolist()
-            self.failures[lane] = Failure(reached, single.residual, tuple(pose), tuple(velocity))
-        return np.concatenate(single.ends), np.concatenate(single.rows)
+            self.failures[lane] = Failure(reached, residual, tuple(pose), tuple(velocity))
+        return np.concatenate(ends), np.concatenate(rows)
 
     def _recentre(self, lanes: Sequence[int]) -> None:
         motion = self._state.motion()
         for lane in lanes:
             self._origin[lane] += motion[lane, :2]
-            lane_floats(self._state.x_m)[..., lane] -= motion[lane, :2]
+            lane_floats(self._state.nodes.x_m)[..., lane] -= motion[lane, :2]
 
     @property
     def mass_kg(self) -> float:
@@ -404,9 +366,9 @@ class Batch:
     def nodes_world(self) -> Float64:
         """Return (lanes, n, 2) node positions, m: the frame counter-clockwise, then each limb from root to
         tip."""
-        nodes = np.moveaxis(lane_floats(self._state.x_m), 2, 0)[: self.lanes]
+        nodes = np.moveaxis(lane_floats(self._state.nodes.x_m), 2, 0)[: self.lanes]
         return np.asarray(nodes + self._origin[:, None, :])
 
     def node_velocities_world(self) -> Float64:
         """Return (lanes, n, 2) node velocities, m/s."""
-        return np.moveaxis(lane_floats(self._state.v_mps), 2, 0)[: self.lanes].copy()
+        return np.moveaxis(lane_floats(self._state.nodes.v_mps), 2, 0)[: self.lanes].copy()

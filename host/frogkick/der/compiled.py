@@ -14,15 +14,15 @@ from frogkick.der import body, stepping
 def _compiled(stamp: int) -> tuple[Any, Any, Any]:
     @kept(**BARE)
     def run_steps(  # type: ignore[no-untyped-def]
-        mesh, symbolic, workspace, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
+        mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
     ):
         return stamp * 0 + stepping.run_steps(
-            mesh, symbolic, workspace, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
+            mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
         )
 
     @kept(**BARE)
-    def set_accelerations(mesh, workspace, x_m, v_mps, active, water, a_mps2):  # type: ignore[no-untyped-def]
-        stepping.set_accelerations(mesh, workspace, x_m, v_mps, active, water, a_mps2)
+    def set_accelerations(mesh, work, nodes, active, water):  # type: ignore[no-untyped-def]
+        stepping.set_accelerations(mesh, work, nodes, active, water)
         return stamp
 
     @kept(**BARE)

@@ -6,6 +6,7 @@ A mesh is constant, so any number of swimmers, lanes or processes can share it.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float64, Int32
 from frogkick.der.symbolic import SymbolicFactorisation, factorise_symbolically
-from frogkick.robot import Robot
+from frogkick.robot import Actuation, Robot
 
 
 class Mesh(NamedTuple):
@@ -46,6 +47,31 @@ class Mesh(NamedTuple):
     plate_edges: Int32
     plate_kg: Float64  # (p,) that water at EACH end, half of the edge's
     plate_shed_kg_per_m: Float64  # (p,) mass per length that a tip at its second end sheds, else 0
+
+    @property
+    def limbs(self) -> int:
+        """Number of limbs."""
+        return int(self.bend_column.max()) // 2
+
+
+@dataclass(frozen=True)
+class Rods:
+    """The constant part that all swimmers of a robot share: mesh, symbolic factorisation, stroke."""
+
+    robot: Robot
+    mesh: Mesh
+    symbolic: SymbolicFactorisation
+    actuation: Actuation
+
+
+def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: float | None = None) -> Rods:
+    """Build the shared part of swimmers, by default with the limb profile of the robot's actions.
+
+    Raises:
+        InputError: the profile is outside the measured range.
+    """
+    mesh, symbolic = build_mesh(robot)
+    return Rods(robot, mesh, symbolic, robot.actuation(egain_percent, frequency_hz))
 
 
 def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:

@@ -88,12 +88,7 @@ def add_plate_forces(
 
 @njit(**BARE)
 def add_plate_inertia(
-    mesh: Mesh,
-    edges: Edges,
-    v_mps: SimdArray,
-    velocity_gain: Any,
-    mass_gain: Any,
-    diagonal: SimdArray,
+    mesh: Mesh, edges: Edges, v_mps: SimdArray, velocity_gain: Any, mass_gain: Any, diagonal: SimdArray
 ) -> None:
     """Add the negative derivative of ``add_plate_forces`` to a symmetric matrix.
 

@@ -25,6 +25,8 @@ from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import Actuation
 
+STEP_S = 0.0008
+"""Finest time step, while a limb straightens."""
 COARSEST = 8.0  # longest step over the finest; beyond it, limbs that curl back need more corrections per step
 COARSEST_AT_REST = 12.0  # the same while no stroke lasts
 SHARP_PER_S2 = 600.0  # second derivative of the activation from which on steps are the finest

@@ -38,6 +38,14 @@ MAX_ITERATIONS = 16
 FACTOR_EVERY = 5  # corrections with one factor; a step that needs a sixth has moved too far from its factor
 
 
+class Nodes(NamedTuple):
+    """The state of the nodes, (n, 2) each, world frame."""
+
+    x_m: SimdArray  # positions
+    v_mps: SimdArray  # velocities
+    a_mps2: SimdArray  # accelerations
+
+
 class Workspace(NamedTuple):
     """Work space of ``run_steps``; its content is not used after a call."""
 
@@ -65,44 +73,31 @@ def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Wor
 
 
 @njit(**INNER)
-def set_accelerations(
-    mesh: Mesh,
-    workspace: Workspace,
-    x_m: SimdArray,
-    v_mps: SimdArray,
-    active: SimdArray,
-    water: SimdArray,
-    a_mps2: SimdArray,
-) -> None:
-    """Set (n, 2) accelerations, m/s^2, from the forces at a state: the start of the integrator.
+def set_accelerations(mesh: Mesh, work: Workspace, nodes: Nodes, active: SimdArray, water: SimdArray) -> None:
+    """Set the accelerations from the forces at a state: the start of the integrator.
 
     Args:
         active: (1, 2 * (limbs + 1)), see ``frogkick.der.rods.add_forces``, also for ``water``.
     """
+    x_m, v_mps, a_mps2 = nodes
     plates = mesh.plate_edges.shape[0] > 0
     for i in range(mesh.mass_kg.shape[0]):
         for d in range(2):
             put(a_mps2, i, d, 0.0)
-    add_forces(mesh, workspace.edges, x_m, v_mps, active, np.int64(0), water, a_mps2)
+    add_forces(mesh, work.edges, x_m, v_mps, active, np.int64(0), water, a_mps2)
     if plates:
         for i in range(mesh.mass_kg.shape[0]):
             for d in range(2):
-                put(workspace.move_m, i, d, 0.0)
-                put(workspace.a_start, i, d, 0.0)
-            put(workspace.diagonal, i, 0, mesh.mass_kg[i])
-            put(workspace.diagonal, i, 1, 0.0)
-            put(workspace.diagonal, i, 2, mesh.mass_kg[i])
-        add_plate_forces(
-            mesh, workspace.edges, x_m, v_mps, water, workspace.move_m, workspace.a_start, 0.0, a_mps2
-        )
-        add_plate_inertia(mesh, workspace.edges, v_mps, 0.0, 1.0, workspace.diagonal)
+                put(work.move_m, i, d, 0.0)
+                put(work.a_start, i, d, 0.0)
+            put(work.diagonal, i, 0, mesh.mass_kg[i])
+            put(work.diagonal, i, 1, 0.0)
+            put(work.diagonal, i, 2, mesh.mass_kg[i])
+        add_plate_forces(mesh, work.edges, x_m, v_mps, water, work.move_m, work.a_start, 0.0, a_mps2)
+        add_plate_inertia(mesh, work.edges, v_mps, 0.0, 1.0, work.diagonal)
     for i in range(mesh.mass_kg.shape[0]):
         if plates:
-            xx, xy, yy = (
-                get(workspace.diagonal, i, 0),
-                get(workspace.diagonal, i, 1),
-                get(workspace.diagonal, i, 2),
-            )
+            xx, xy, yy = (get(work.diagonal, i, 0), get(work.diagonal, i, 1), get(work.diagonal, i, 2))
             fx, fy = get(a_mps2, i, 0), get(a_mps2, i, 1)
             whole = xx * yy - xy * xy
             put(a_mps2, i, 0, (yy * fx - xy * fy) / whole)
@@ -115,7 +110,7 @@ def set_accelerations(
 @njit(**INNER)
 def set_residual(
     mesh: Mesh,
-    workspace: Workspace,
+    work: Workspace,
     x_m: SimdArray,
     active: SimdArray,
     step: int,
@@ -123,31 +118,21 @@ def set_residual(
     velocity_gain: Any,
     mass_gain: Any,
 ) -> Any:
-    """Set workspace.force_n to the residual after moving by workspace.move_m; return its sum of squares."""
+    """Set work.force_n to the residual after moving by work.move_m; return its sum of squares."""
     for i in range(x_m.shape[0]):
         for d in range(2):
-            move = get(workspace.move_m, i, d)
-            put(workspace.x_m, i, d, get(x_m, i, d) + EVALUATION_SHARE * move)
-            put(workspace.v_mps, i, d, velocity_gain * move + get(workspace.v_start, i, d))
-            put(
-                workspace.force_n, i, d, get(workspace.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move
-            )
-    add_forces(mesh, workspace.edges, workspace.x_m, workspace.v_mps, active, step, water, workspace.force_n)
+            move = get(work.move_m, i, d)
+            put(work.x_m, i, d, get(x_m, i, d) + EVALUATION_SHARE * move)
+            put(work.v_mps, i, d, velocity_gain * move + get(work.v_start, i, d))
+            put(work.force_n, i, d, get(work.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move)
+    add_forces(mesh, work.edges, work.x_m, work.v_mps, active, step, water, work.force_n)
     if mesh.plate_edges.shape[0] > 0:
         add_plate_forces(
-            mesh,
-            workspace.edges,
-            workspace.x_m,
-            workspace.v_mps,
-            water,
-            workspace.move_m,
-            workspace.a_start,
-            mass_gain,
-            workspace.force_n,
+            mesh, work.edges, work.x_m, work.v_mps, water, work.move_m, work.a_start, mass_gain, work.force_n
         )
-    total = 0.0 * get(workspace.force_n, 0, 0)
+    total = 0.0 * get(work.force_n, 0, 0)
     for i in range(x_m.shape[0]):
-        fx, fy = get(workspace.force_n, i, 0), get(workspace.force_n, i, 1)
+        fx, fy = get(work.force_n, i, 0), get(work.force_n, i, 1)
         total += fx * fx + fy * fy
     return total
 
@@ -156,7 +141,7 @@ def set_residual(
 def set_factor(
     mesh: Mesh,
     symbolic: SymbolicFactorisation,
-    workspace: Workspace,
+    work: Workspace,
     water: SimdArray,
     velocity_gain: Any,
     mass_gain: Any,
@@ -164,39 +149,35 @@ def set_factor(
     """Factor the derivative of ``set_residual`` at the state of its last call."""
     for i in range(mesh.mass_kg.shape[0]):
         inertia = mass_gain * mesh.mass_kg[i]
-        put(workspace.diagonal, i, 0, inertia)
-        put(workspace.diagonal, i, 1, 0.0)
-        put(workspace.diagonal, i, 2, inertia)
+        put(work.diagonal, i, 0, inertia)
+        put(work.diagonal, i, 1, 0.0)
+        put(work.diagonal, i, 2, inertia)
     for p in range(symbolic.neighbour.shape[0]):
         for c in range(4):
-            put(workspace.pair, p, c, 0.0)
+            put(work.pair, p, c, 0.0)
     add_stiffness(
         mesh,
         symbolic,
-        workspace.edges,
-        workspace.x_m,
-        workspace.v_mps,
+        work.edges,
+        work.x_m,
+        work.v_mps,
         water,
         EVALUATION_SHARE,
         velocity_gain,
-        workspace.diagonal,
-        workspace.pair,
+        work.diagonal,
+        work.pair,
     )
     if mesh.plate_edges.shape[0] > 0:
-        add_plate_inertia(
-            mesh, workspace.edges, workspace.v_mps, velocity_gain, mass_gain, workspace.diagonal
-        )
-    factor(symbolic, workspace.diagonal, workspace.pair, workspace.scaled)
+        add_plate_inertia(mesh, work.edges, work.v_mps, velocity_gain, mass_gain, work.diagonal)
+    factor(symbolic, work.diagonal, work.pair, work.scaled)
 
 
 @njit(**INNER)
 def run_steps(
     mesh: Mesh,
     symbolic: SymbolicFactorisation,
-    workspace: Workspace,
-    x_m: SimdArray,
-    v_mps: SimdArray,
-    a_mps2: SimdArray,
+    work: Workspace,
+    nodes: Nodes,
     step_s: SimdArray,
     active: SimdArray,
     water: SimdArray,
@@ -207,8 +188,8 @@ def run_steps(
     """Advance states in place by a row of steps.
 
     Args:
-        mesh, symbolic, workspace: mesh, index lists and work space.
-        x_m, v_mps, a_mps2: (n, 2) positions, velocities, accelerations, world frame.
+        mesh, symbolic, work: mesh, index lists and work space.
+        nodes: the states, changed.
         step_s: (steps, 1) lengths; a lane does not move in a step that is not positive.
         active: (steps, 2 * (limbs + 1)), at EVALUATION_SHARE of each step; see frogkick.der.rods.add_forces.
         water: (WATER, 1) or (0, 1), constant over the steps; see there.
@@ -220,6 +201,7 @@ def run_steps(
     Returns:
         Number of force evaluations of the slowest lane.
     """
+    x_m, v_mps, a_mps2 = nodes
     n = x_m.shape[0]
     limit = (RESIDUAL_LIMIT * mesh.force_scale_n) ** 2
     evaluations = 0
@@ -239,32 +221,32 @@ def run_steps(
             for d in range(2):
                 v, a = get(v_mps, i, d), get(a_mps2, i, d)
                 # Guess: the acceleration stays.
-                put(workspace.move_m, i, d, h * v + (0.5 * (h * h)) * a)
+                put(work.move_m, i, d, h * v + (0.5 * (h * h)) * a)
                 put(
-                    workspace.v_start,
+                    work.v_start,
                     i,
                     d,
                     (1.0 - EVALUATION_SHARE * GAMMA / BETA) * v
                     + (EVALUATION_SHARE * (1.0 - 0.5 * GAMMA / BETA)) * (h * a),
                 )
                 inertia = mass_gain * (h * v) - (1.0 - (1.0 - ALPHA_M) * 0.5 / BETA) * a
-                put(workspace.a_start, i, d, inertia)
-                put(workspace.force_start, i, d, mesh.mass_kg[i] * inertia)
+                put(work.a_start, i, d, inertia)
+                put(work.force_start, i, d, mesh.mass_kg[i] * inertia)
         open_ = going
         for iteration in range(MAX_ITERATIONS + 1):
-            total = set_residual(mesh, workspace, x_m, active, step, water, velocity_gain, mass_gain)
+            total = set_residual(mesh, work, x_m, active, step, water, velocity_gain, mass_gain)
             evaluations += 1
             open_ = where_above(total, limit, open_, 0.0)
             if iteration == MAX_ITERATIONS or not any_above(open_, 0.5):
                 break
             if iteration % factor_every == 0:
-                set_factor(mesh, symbolic, workspace, water, velocity_gain, mass_gain)
-            solve(symbolic, workspace.diagonal, workspace.pair, workspace.force_n)
+                set_factor(mesh, symbolic, work, water, velocity_gain, mass_gain)
+            solve(symbolic, work.diagonal, work.pair, work.force_n)
             add(report, 2, 0, open_)
             for i in range(n):
                 for d in range(2):
-                    correction = where_above(open_, 0.5, get(workspace.force_n, i, d), 0.0)
-                    add(workspace.move_m, i, d, correction)
+                    correction = where_above(open_, 0.5, get(work.force_n, i, d), 0.0)
+                    add(work.move_m, i, d, correction)
         if any_above(open_, 0.5):
             put(report, 0, 0, where_above(open_, 0.5, 1.0 * step, get(report, 0, 0)))
             put(report, 1, 0, where_above(open_, 0.5, total / limit, get(report, 1, 0)))
@@ -272,15 +254,10 @@ def run_steps(
         moving = going - open_
         for i in range(n):
             for d in range(2):
-                move, v, a = get(workspace.move_m, i, d), get(v_mps, i, d), get(a_mps2, i, d)
+                move, v, a = get(work.move_m, i, d), get(v_mps, i, d), get(a_mps2, i, d)
                 new = (move - h * v) / (BETA * (h * h)) + (1.0 - 0.5 / BETA) * a
                 add(x_m, i, d, where_above(moving, 0.5, move, 0.0))
-                put(
-                    v_mps,
-                    i,
-                    d,
-                    where_above(moving, 0.5, v + h * ((1.0 - GAMMA) * a + GAMMA * new), v),
-                )
+                put(v_mps, i, d, where_above(moving, 0.5, v + h * ((1.0 - GAMMA) * a + GAMMA * new), v))
                 put(a_mps2, i, d, where_above(moving, 0.5, new, a))
         if step < sums.shape[0]:
             set_sums(mesh, x_m, v_mps, step, sums)

@@ -1,4 +1,4 @@
-"""Simulations of strokes: many in batches, or one action."""
+"""Simulations of strokes, many in batches, and their motion between time steps."""
 
 from __future__ import annotations
 
@@ -8,25 +8,20 @@ from typing import Protocol
 
 import numpy as np
 
-from frogkick.core.arrays import Float64
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import body_from_world
 from frogkick.der.batch import WIDTH, Batch, Failure
-from frogkick.der.swimmer import STEP_S, Rods, batch_of
+from frogkick.der.mesh import Rods
+from frogkick.der.schedule import STEP_S
 from frogkick.robot import Action, Robot
 
 Program = Sequence[tuple[float, int]]
 """Strokes of one simulation: (time_s, limb_mask), bit i = limb i."""
 
 
-@dataclass(frozen=True)
-class Motions:
-    """Motions of k robots from the world's origin, heading along world x."""
-
-    time_s: Float64  # (s,) times
-    pose_world: Float64  # (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN after a failure
-    velocity_body: Float64  # (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise
-    failures: dict[int, Failure]  # simulation -> its failure
+Stage = tuple[Sequence[Program], Float64]
+"""Strokes of k simulations that are fired together, and the times (k,) to which they are then advanced."""
 
 
 class LaneEffects(Protocol):
@@ -57,6 +52,72 @@ def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> list[tuple
     """Return the strokes of an action that starts at ``start_s``."""
     strokes = [(start_s, action.first_mask), (start_s + robot.second_delay_s, action.second_mask)]
     return [(time, mask) for time, mask in strokes if mask]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The motion of a simulation from its first to its last stage, step by step."""
+
+    time_s: Float64  # (n,) 0 and the ends of all time steps
+    motion: Float64  # (n, MOTION) rows of frogkick.der.body.body_motion, world frame
+    stage_end: Int64  # (stages + 1,) rows at which stages begin and end
+
+    @property
+    def node_mean_m(self) -> Float64:
+        """(n,) forward position of the unweighted mean of all nodes."""
+        return np.asarray(self.motion[:, 6])
+
+
+def simulate_stages(
+    rods: Sequence[Rods],
+    velocity_body: Float64,
+    stages: Sequence[Stage],
+    *,
+    step_s: float = STEP_S,
+    width: int = WIDTH,
+    acts: Callable[[int], LaneEffects] | None = None,
+) -> list[Track | Failure]:
+    """Simulate robots from the world's origin, limbs at rest, ``width`` at a time, through all stages.
+
+    Args:
+        rods: one for each simulation, of one mesh.
+        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at the start.
+        step_s: finest time step.
+        acts: makes the effects of a number of lanes; None: no effects.
+    """
+    found: list[Track | Failure] = []
+    for first in range(0, len(rods), width):
+        some = slice(first, first + width)
+        velocity = velocity_body[some]
+        batch = Batch(rods[some], np.zeros_like(velocity), velocity, 0.0, step_s, width)
+        lanes = acts(batch.lanes) if acts else NoEffects()
+        ends = [[np.zeros(1)] for _ in velocity]
+        rows = [[row[None]] for row in batch.motion_world()]
+        limbs = range(batch.limbs)
+        for programs, until_s in stages:
+            for lane, program in enumerate(programs[some]):
+                for start, mask in program:
+                    for limb in limbs:
+                        if mask >> limb & 1:
+                            lanes.fire(batch, lane, limb, start)
+            for lane, (times, motion) in enumerate(lanes.advance(batch, until_s[some], trace=True)):
+                ends[lane].append(times)
+                rows[lane].append(motion)
+        for lane in range(batch.lanes):
+            stage_end = np.cumsum([len(times) for times in ends[lane]]) - 1
+            track = Track(np.concatenate(ends[lane]), np.concatenate(rows[lane]), stage_end)
+            found.append(batch.failures.get(lane, track))
+    return found
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions of k robots from the world's origin, heading along world x."""
+
+    time_s: Float64  # (s,) times
+    pose_world: Float64  # (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN after a failure
+    velocity_body: Float64  # (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise
+    failures: dict[int, Failure]  # simulation -> its failure
 
 
 def simulate_many(
@@ -99,30 +160,17 @@ def simulate_many(
         raise InputError(f"times {times.tolist()} do not increase from 0: give increasing seconds after 0")
     if not (np.isfinite(times[-1]) and np.isfinite(step_s) and step_s > 0.0 and width > 0):
         raise InputError(f"last time {times[-1]} s, step {step_s} s, width {width}: give positive ones")
-    each = [rods] * len(programs) if isinstance(rods, Rods) else list(rods)
+    each = [rods] * len(programs) if isinstance(rods, Rods) else rods
     pose = np.full((len(programs), len(times), 3), np.nan)
     speed = np.full_like(pose, np.nan)
     failures: dict[int, Failure] = {}
-    for first in range(0, len(programs), width):
-        chosen = range(first, min(first + width, len(programs)))
-        batch = batch_of(
-            [each[k] for k in chosen], np.zeros((len(chosen), 3)), velocity[chosen], 0.0, step_s, width
-        )
-        lanes = acts(len(chosen)) if acts else NoEffects()
-        for lane, k in enumerate(chosen):
-            for start, mask in programs[k]:
-                for limb in range(len(each[k].robot.limbs)):
-                    if mask >> limb & 1:
-                        lanes.fire(batch, lane, limb, start)
-        before = batch.motion_world()
-        traces = lanes.advance(batch, float(times[-1]), trace=True)
-        for lane in range(len(chosen)):
-            if lane in batch.failures:
-                failures[first + lane] = batch.failures[lane]
-                continue
-            ends = np.concatenate([np.zeros(1), traces[lane][0]])
-            rows = np.concatenate([before[lane : lane + 1], traces[lane][1]])
-            pose[first + lane], speed[first + lane] = interpolate(ends, rows, times)
+    stage = programs, np.full(len(programs), times[-1])
+    tracks = simulate_stages(each, velocity, [stage], step_s=step_s, width=width, acts=acts)
+    for k, track in enumerate(tracks):
+        if isinstance(track, Failure):
+            failures[k] = track
+        else:
+            pose[k], speed[k] = interpolate(track.time_s, track.motion, times)
     return Motions(times, pose, speed, failures)
 
 

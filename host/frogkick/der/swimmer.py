@@ -4,64 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.batch import Batch
-from frogkick.der.mesh import Mesh, build_mesh
-from frogkick.der.symbolic import SymbolicFactorisation
+from frogkick.der.mesh import Rods, prepare
+from frogkick.der.schedule import STEP_S
 from frogkick.der.water import Water
-from frogkick.robot import Actuation, Robot
-
-STEP_S = 0.0008
-"""Finest time step, while a limb straightens; see frogkick.der.schedule for the others."""
-
-
-@dataclass(frozen=True)
-class Rods:
-    """The constant part that all swimmers of a robot share: mesh, symbolic factorisation, stroke."""
-
-    robot: Robot
-    mesh: Mesh
-    symbolic: SymbolicFactorisation
-    actuation: Actuation
-
-
-def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: float | None = None) -> Rods:
-    """Build the shared part of swimmers, by default with the limb profile of the robot's actions.
-
-    Raises:
-        InputError: the profile is outside the measured range.
-    """
-    mesh, symbolic = build_mesh(robot)
-    return Rods(robot, mesh, symbolic, robot.actuation(egain_percent, frequency_hz))
-
-
-def batch_of(
-    rods: Sequence[Rods],
-    pose_world: Float64,
-    velocity_body: Float64,
-    time_s: float,
-    step_s: float,
-    width: int,
-    longest_s: float = math.inf,
-) -> Batch:
-    """Return robots of one mesh side by side, which may differ only in their strokes; see Batch."""
-    return Batch(
-        rods[0].mesh,
-        rods[0].symbolic,
-        [each.actuation for each in rods],
-        pose_world,
-        velocity_body,
-        limbs=len(rods[0].robot.limbs),
-        time_s=time_s,
-        step_s=step_s,
-        width=width,
-        longest_s=longest_s,
-    )
+from frogkick.robot import Robot
 
 
 class Swimmer:
@@ -100,7 +52,7 @@ class Swimmer:
         if not (math.isfinite(step_s) and step_s > 0.0):
             raise InputError(f"time step is {step_s} s: give a positive one, {STEP_S} s by default")
         self.rods = prepare(robot) if rods is None else rods
-        self._batch = batch_of([self.rods], pose[None], velocity[None], time_s, float(step_s), 1)
+        self._batch = Batch([self.rods], pose[None], velocity[None], time_s, float(step_s), 1)
 
     @property
     def time_s(self) -> float:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from frogkick.core.poses import rotate
 from frogkick.der import WIDTH, Batch, Checkpoint, Rods, prepare
-from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
 from frogkick.identification.segments import Segments
@@ -396,7 +395,7 @@ def _camera_fix(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> t
 def replay_batch(robot: Robot, pose_world: FloatArray, step_s: float) -> Batch:
     """Robots at rest at (lanes, 3) poses, to replay runs: with bounded steps."""
     still = np.zeros((len(pose_world), 3))
-    return batch_of([_rods(robot)] * len(pose_world), pose_world, still, 0.0, step_s, WIDTH, LONGEST_S)
+    return Batch([_rods(robot)] * len(pose_world), pose_world, still, 0.0, step_s, WIDTH, LONGEST_S)
 
 
 @lru_cache(maxsize=64)

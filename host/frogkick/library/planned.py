@@ -17,8 +17,7 @@ from frogkick.core.arrays import Float32
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import ConvergenceError
 from frogkick.core.poses import wrap_angle
-from frogkick.der import STEP_S, WIDTH, Rods
-from frogkick.der.swimmer import batch_of
+from frogkick.der import STEP_S, WIDTH, Batch, Rods
 from frogkick.effects import rods_of
 from frogkick.library.quantise import quantise
 from frogkick.library.starts import VisitedStates, random_swims
@@ -126,7 +125,7 @@ def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> l
     )
     along = [0.0] * len(paths)
     still = np.zeros((len(paths), 3))
-    batch = batch_of([rods] * len(paths), still, still, 0.0, STEP_S, WIDTH)
+    batch = Batch([rods] * len(paths), still, still, 0.0, STEP_S, WIDTH)
     acting = lane_effects(robot, len(paths))
     chosen: list[list[int]] = [[] for _ in paths]
     for stroke in range(strokes):

@@ -12,7 +12,6 @@ from frogkick.core.errors import ConvergenceError
 from frogkick.core.poses import relative
 from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
 from frogkick.der.strokes import interpolate
-from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, Effect, body_effects
 from frogkick.robot import Robot
 
@@ -126,7 +125,7 @@ def simulate_task(rods: Rods, task: Task, record_s: float = 0.0, extra: Sequence
     for first in range(0, len(task.velocity_body), WIDTH):
         some = slice(first, first + WIDTH)
         still = np.zeros_like(task.velocity_body[some])
-        batch = batch_of([rods] * len(still), still, task.velocity_body[some], 0.0, STEP_S, WIDTH)
+        batch = Batch([rods] * len(still), still, task.velocity_body[some], 0.0, STEP_S, WIDTH)
         acting = lane_effects(robot, len(still), extra)
         strokes = np.flatnonzero(task.wanted[some].any(axis=0))
         for stroke in range(int(strokes.max(initial=-1)) + 1):

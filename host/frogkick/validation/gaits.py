@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
-from frogkick.der import Failure, Gait, GaitTrack, Rods, Swimmer, simulate_gait_tracks
+from frogkick.der import Failure, Gait, Track, Rods, Swimmer, simulate_gait_tracks
 from frogkick.effects import rods_of
 from frogkick.library.transitions import lane_effects
 from frogkick.robot import Actuation, Profile, Robot
@@ -94,7 +94,7 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     return swum
 
 
-def _swim(robot: Robot, gait: Gait, track: GaitTrack | Failure) -> GaitSwim | str:
+def _swim(robot: Robot, gait: Gait, track: Track | Failure) -> GaitSwim | str:
     if isinstance(track, Failure):
         return f"rods of {robot.id!r} {track}"
     speed_mps = speed_over_cycles(track.time_s, track.node_mean_m, gait.frequency_hz)

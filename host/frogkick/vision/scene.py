@@ -145,10 +145,7 @@ class Scene:
         return np.nan_to_num(level, nan=70.0).reshape(height, width).astype(np.float32)
 
     def picture(
-        self,
-        pose: tuple[float, float, float] | None,
-        rng: np.random.Generator,
-        extra: Sequence[Thing] = (),
+        self, pose: tuple[float, float, float] | None, rng: np.random.Generator, extra: Sequence[Thing] = ()
     ) -> UInt8:
         """Render a frame.
 

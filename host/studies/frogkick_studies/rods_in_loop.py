@@ -23,7 +23,6 @@ from frogkick.core.errors import ConvergenceError, FrogkickError
 from frogkick.core.poses import Fix, body_from_world, relative, wrap_angle
 from frogkick.der import STEP_S, WIDTH, Batch
 from frogkick.der.strokes import interpolate
-from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, rods_of
 from frogkick.estimator.estimator import Estimator
 from frogkick.estimator.follow import End, Follow
@@ -224,7 +223,7 @@ def _run(ready: _Ready, task: Task) -> list[Run]:
     lanes = [_Lane(reference, path, config, seed) for seed in task.seeds]
     first = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float64)
     begin = np.array([first + np.random.default_rng([seed, 1]).normal(0.0, _START) for seed in task.seeds])
-    batch = batch_of([rods_of(robot)] * len(lanes), begin, np.zeros_like(begin), 0.0, STEP_S, WIDTH)
+    batch = Batch([rods_of(robot)] * len(lanes), begin, np.zeros_like(begin), 0.0, STEP_S, WIDTH)
     acting = lane_effects(robot, len(lanes))
     still = batch.motion_world()
     for (times_s, rows), lane, row in zip(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
-from frogkick.der import Failure, Gait, Track, Rods, Swimmer, simulate_gait_tracks
+from frogkick.der import Failure, Gait, Rods, Swimmer, Track, simulate_gait_tracks
 from frogkick.effects import rods_of
 from frogkick.library.transitions import lane_effects
 from frogkick.robot import Actuation, Profile, Robot

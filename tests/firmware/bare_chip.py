@@ -7,8 +7,7 @@ from pathlib import Path
 from bench_build import build_text
 
 from frogkick.pool.chip import CostModel, VirtualChip
-from frogkick.pool.chip.clock import Clock
-from frogkick.pool.chip.watchdog import Power
+from frogkick.pool.chip.power import Clock, Power
 
 NO_WAITS = CostModel(
     branch_refill_cycles=2, cache_miss_cycles=0, fetch_wait_uncached_parts=0, flash_data_wait_cycles=0

@@ -12,7 +12,7 @@ from tests.runs import rig
 
 from frogkick.core.errors import InputError
 from frogkick.link.layout import link_layout
-from frogkick.pool.chip.saadc import Saadc
+from frogkick.pool.chip.pins import Saadc
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot

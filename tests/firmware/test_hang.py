@@ -15,7 +15,7 @@ from tests.runs import rig
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.pool.chip import ChipError
-from frogkick.pool.chip.watchdog import Watchdog
+from frogkick.pool.chip.power import Watchdog
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.runs.session import LinkError, Session

@@ -10,8 +10,7 @@ import numpy as np
 
 from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.chip.image import load_image
-from frogkick.pool.chip.layout import Layouts
+from frogkick.pool.chip.image import Layouts, load_image
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, states_for_timing
 from frogkick.tables.image import read_image

@@ -13,7 +13,7 @@ from frogkick.link.layout import link_layout
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig, plan
 from frogkick.pool.chip import VirtualChip
-from frogkick.pool.chip.layout import Layouts
+from frogkick.pool.chip.image import Layouts
 from frogkick.pool.native_robot import COLD_LIMBS, CoreCall, NativeRobot
 from frogkick.runs.decision import Decision, DecisionTwin, RobotEvent
 from frogkick.runs.replay import Schedule, compare, replay_on_host, replay_onboard

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from frogkick.core.errors import FrogkickError
 
+if TYPE_CHECKING:
+    from frogkick.pool.chip.chip import VirtualChip
+
 CYCLES_PER_US: Final = 64
+CYCLES_PER_S: Final = CYCLES_PER_US * 1_000_000
 NEVER: Final = 2**62
 RAM_BASE: Final = 0x2000_0000
 RAM_BYTES: Final = 64 * 1024
@@ -65,43 +69,14 @@ class Register:
     access: str
 
 
-def array(name: str, offset: int, access: str, count: int, stride: int = 4) -> list[Register]:
+def registers(access: str, /, **offsets: int) -> list[Register]:
+    """Registers of one kind of access by name."""
+    return [Register(name, offset, access) for name, offset in offsets.items()]
+
+
+def array(access: str, name: str, offset: int, count: int, stride: int = 4) -> list[Register]:
     """Registers ``name.format(i)`` for i below count."""
-    return [Register(name.format(i), offset + stride * i, access) for i in range(count)]
-
-
-class System(Protocol):
-    """The chip as a peripheral uses it."""
-
-    scheduler: Scheduler
-
-    @property
-    def now_cycle(self) -> int:
-        """Current time in cycles of 64 MHz."""
-
-    def publish(self, event_address: int) -> None:
-        """Pass an event to PPI."""
-
-    def trigger(self, task_address: int) -> None:
-        """Trigger a task by its register's address."""
-
-    def is_event(self, address: int) -> bool:
-        """Whether a modelled event register is at this address."""
-
-    def is_task(self, address: int) -> bool:
-        """Whether a modelled task register is at this address."""
-
-    def set_interrupt_line(self, irq: int, level: bool) -> None:
-        """Set a peripheral's interrupt line to the NVIC."""
-
-    def ram_read(self, address: int, count: int) -> bytes:
-        """Read RAM by EasyDMA."""
-
-    def ram_write(self, address: int, data: bytes) -> None:
-        """Write RAM by EasyDMA."""
-
-    def fail(self, what: str) -> ChipError:
-        """An error with program counter and time."""
+    return registers(access, **{name.format(i): offset + stride * i for i in range(count)})
 
 
 class Peripheral:
@@ -109,24 +84,22 @@ class Peripheral:
 
     Registers with names from TASKS_ and EVENTS_ behave as in the product specification's chapter "Peripheral
     interface"; INTENSET and INTENCLR act on ``INTERRUPT_EVENTS``.
+
+    Attributes:
+        name: instance, as in the SVD ("TIMER0").
+        base: address of its first register.
     """
 
-    NAME: ClassVar[str]
     REGISTERS: ClassVar[list[Register]]
     INTERRUPT_EVENTS: ClassVar[dict[int, str]] = {}
 
-    def __init__(self, system: System, name: str, base: int) -> None:
-        """Place the peripheral.
+    name: str
+    base: int
 
-        Args:
-            system: the chip.
-            name: instance, as in the SVD ("TIMER0").
-            base: address of its first register.
-        """
+    def __init__(self, system: VirtualChip) -> None:
+        """Place it in a chip, in its reset state."""
         self.system = system
-        self.name = name
-        self.base = base
-        self.irq = base >> 12 & 0x1F
+        self.irq = self.base >> 12 & 0x1F
         self.by_offset = {register.offset: register for register in self.REGISTERS}
         self.values: dict[str, int] = {register.name: 0 for register in self.REGISTERS}
         self._offsets = {register.name: register.offset for register in self.REGISTERS}
@@ -134,17 +107,14 @@ class Peripheral:
 
     def _register(self, offset: int, access: str) -> Register:
         register = self.by_offset.get(offset)
-        verb = "read" if access == "r" else "write"
+        verb, done = ("read", "read") if access == "r" else ("write", "written")
+        at = f"0x{self.base + offset:08x}"
         if register is None:
             raise self.system.fail(
-                f"{verb} of {self.name} + 0x{offset:03x} (0x{self.base + offset:08x}): "
-                "no register there that the model knows"
+                f"{verb} of {self.name} + 0x{offset:03x} ({at}): no register there that the model knows"
             )
         if access not in register.access:
-            raise self.system.fail(
-                f"{verb} of {self.name}.{register.name} (0x{self.base + offset:08x}): "
-                f"it cannot be {'read' if access == 'r' else 'written'}"
-            )
+            raise self.system.fail(f"{verb} of {self.name}.{register.name} ({at}): it cannot be {done}")
         return register
 
     def read(self, offset: int) -> int:
@@ -200,10 +170,61 @@ class Peripheral:
         """Set an event's register, and trigger PPI and the interrupt line."""
         self.values[name] = 1
         self._update_line()
-        self.system.publish(self.base + self._offsets[name])
+        self.system.ppi.pass_on(self.base + self._offsets[name])
 
     def _update_line(self) -> None:
         level = any(
             self._interrupts >> bit & 1 and self.values[event] for bit, event in self.INTERRUPT_EVENTS.items()
         )
-        self.system.set_interrupt_line(self.irq, level)
+        self.system.core.set_line(self.irq, level)
+
+
+SEVONPEND: Final = 1 << 4
+_CP10_CP11: Final = 0xF << 20
+
+
+class CoreRegisters(Peripheral):
+    """The Cortex-M4's own: NVIC and SCB.
+
+    No interrupt is taken: a pending one can only wake WFE (ARMv7-M ARM, B1.5.18).
+    """
+
+    name, base = "SCS", 0xE000_E000
+    REGISTERS = registers("rw", NVIC_ICPR0=0x280, NVIC_ICPR1=0x284, SCB_SCR=0xD10, SCB_CPACR=0xD88)
+
+    def __init__(self, system: VirtualChip, on_fpu: Callable[[bool], None]) -> None:
+        """``on_fpu`` hears when the FPU is switched."""
+        super().__init__(system)
+        self._on_fpu = on_fpu
+        self._lines = 0
+        self._pending = 0
+        self.event_register = False
+
+    def set_line(self, irq: int, level: bool) -> None:
+        """A peripheral's line changed: pending follows a high line, and stays when it goes low."""
+        self._lines = self._lines | 1 << irq if level else self._lines & ~(1 << irq)
+        self._pend()
+
+    def _pend(self) -> None:
+        new = self._lines & ~self._pending
+        self._pending |= self._lines
+        if new and self.values["SCB_SCR"] & SEVONPEND:
+            self.event_register = True
+
+    def on_read(self, name: str) -> int:
+        """Pending interrupts, or the register's value."""
+        return self._pending if name == "NVIC_ICPR0" else self.values[name]
+
+    def on_write(self, name: str, value: int) -> None:
+        """Take back pending interrupts, allow waking by them, switch the FPU on or off."""
+        if name == "NVIC_ICPR0":
+            self._pending &= ~value
+            self._pend()  # a line that is still high makes its interrupt pending again
+        elif name == "SCB_SCR":
+            self.allow(name, value, (0, SEVONPEND))
+            self.values[name] = value
+        elif name == "SCB_CPACR":
+            self.allow(name, value, (0, _CP10_CP11))
+            self._on_fpu(value == _CP10_CP11)
+            self.values[name] = value
+        # Of NVIC_ICPR1 only the FPU's interrupt is ever pending, where its flags stand.

@@ -11,21 +11,24 @@ import unicorn as unicorn_module
 from unicorn import arm_const
 
 from frogkick.core.interrupts import ctrl_c_comes_after
-from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError, Peripheral, Scheduler
-from frogkick.pool.chip.clock import Clock, Ficr, Nvmc, Rng
-from frogkick.pool.chip.core import CoreRegisters
-from frogkick.pool.chip.cost import PARTS, CostModel, CostTable
+from frogkick.pool.chip.bus import (
+    CYCLES_PER_US,
+    FLASH_BYTES,
+    ChipError,
+    CoreRegisters,
+    Peripheral,
+    Register,
+    Scheduler,
+)
+from frogkick.pool.chip.cost import PARTS, CostModel, CostTable, Profile
 from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
-from frogkick.pool.chip.flash import Flash
-from frogkick.pool.chip.gpio import Gpio, Gpiote
+from frogkick.pool.chip.flash import Flash, Nvmc
 from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
 from frogkick.pool.chip.image import load_image
-from frogkick.pool.chip.ppi import Ppi
-from frogkick.pool.chip.profile import Profile
-from frogkick.pool.chip.saadc import Saadc
+from frogkick.pool.chip.pins import Gpio, Gpiote, Ppi, Saadc
+from frogkick.pool.chip.power import DOG, Clock, Ficr, Power, Rng, Watchdog
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
-from frogkick.pool.chip.watchdog import DOG, Power, Watchdog
 
 unicorn: Any = unicorn_module  # its type hints do not export what it documents
 _NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address
@@ -65,10 +68,10 @@ class VirtualChip:
         self._sleeping = self._hung = self._reset_due = False
         self._slept_parts = 0
         self._failed: ChipError | None = None
-        self._invalid: tuple[int, int, int] | None = None
+        self._invalid = ""
         self.resets: list[float] = []
         self._access_error: ChipError | None = None
-        self.power = Power(self, "POWER", 0x4000_0000)
+        self.power = Power(self)
         self.flash = Flash(self.fail)
         self._place_peripherals([])
         self._table = CostTable(self._image.flash)
@@ -83,43 +86,43 @@ class VirtualChip:
             table=ctypes.cast(self._table.entries, ctypes.c_void_p),
         )
         self._pc = self._image.reset_address
-        pages = [(at, partial(self._mmio_read, at), partial(self._mmio_write, at)) for at in self._by_base]
-        self._uc = make_core(self._image, pages, self._on_invalid, self._state)
+        self._uc = make_core(self._image, self._by_base, self._access, self._on_invalid, self._state)
         self.flash.attach(self._uc, self._state, self._refuse)
 
     def _place_peripherals(self, edges: list[tuple[int, int, bool]]) -> None:
         """Place all peripherals in their reset state, with the edges so far."""
-        self._uarte = Uarte(self, "UARTE0", 0x4000_2000)
-        self._gpio = Gpio(self, "P0", 0x5000_0000)
+        self._uarte = Uarte(self)
+        self._gpio = Gpio(self)
         self._gpio.edges = edges
-        self._ppi = Ppi(self, "PPI", 0x4001_F000)
-        self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
-        self._watchdog = Watchdog(self, "WDT", 0x4001_0000, partial(setattr, self, "_reset_due", True))
-        gpiote = Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio, self.power.on_clear_task)
-        timers = [Timer(self, f"TIMER{i}", 0x4000_8000 + 0x1000 * i) for i in range(3)]
+        self.ppi = Ppi(self)
+        self.core = CoreRegisters(self, self._switch_fpu)
+        self._watchdog = Watchdog(self, partial(setattr, self, "_reset_due", True))
+        gpiote = Gpiote(self, self._gpio, self.power.on_clear_task)
+        timers = [Timer(self, number) for number in range(3)]
         self.peripherals: tuple[Peripheral, ...] = (
-            Clock(self, "CLOCK", 0x4000_0000, self.power, timers),
-            Ficr(self, "FICR", 0x1000_0000),
+            Clock(self, self.power, timers),
+            Ficr(self),
             self.power,
             self._uarte,
             gpiote,
             *timers,
             self._watchdog,
-            Rng(self, "RNG", 0x4000_D000),
-            Saadc(self, "SAADC", 0x4000_7000, self.power),
-            Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache, self.flash),
-            self._ppi,
+            Rng(self),
+            Saadc(self, self.power),
+            Nvmc(self, self._switch_cache, self.flash),
+            self.ppi,
             self._gpio,
-            self._core,
+            self.core,
         )
         self._by_base: dict[int, list[Peripheral]] = {}
         for peripheral in self.peripherals:
             self._by_base.setdefault(peripheral.base, []).append(peripheral)
 
-    def _peripheral(self, address: int) -> Peripheral | None:
-        """The peripheral of a register; a page may have two."""
-        page = self._by_base.get(address & ~(PAGE - 1), [])
-        return next((p for p in page if address & (PAGE - 1) in p.by_offset), page[0] if page else None)
+    def _find(self, address: int) -> tuple[Peripheral | None, Register | None]:
+        """The peripheral at an address, and its register there; a page may have two peripherals."""
+        page, offset = self._by_base.get(address & ~(PAGE - 1), []), address & (PAGE - 1)
+        peripheral = next((one for one in page if offset in one.by_offset), page[0] if page else None)
+        return peripheral, peripheral.by_offset.get(offset) if peripheral else None
 
     @property
     def cycles(self) -> int:
@@ -223,8 +226,8 @@ class VirtualChip:
                     self._reset()
                 elif not (self._sleeping or self._hung):
                     self._execute()
-                elif self._core.event_register and not self._hung:
-                    self._core.event_register = self._sleeping = False
+                elif self.core.event_register and not self._hung:
+                    self.core.event_register = self._sleeping = False
                 else:
                     awake_at = PARTS * min(self.scheduler.next_cycle, self._target_cycle)
                     if not self._hung:
@@ -322,7 +325,7 @@ class VirtualChip:
         try:
             self._uc.emu_start(self._pc | 1, _NOWHERE)
         except unicorn.UcError as error:
-            raise self._access_error or self._fault(error) from error
+            raise self._access_error or self.fail(self._invalid or f"hard fault: {error}") from error
         if self._access_error is not None:
             raise self._access_error
         self._pc = self._state.address
@@ -353,8 +356,8 @@ class VirtualChip:
         self._state.instructions += 1
         self._pc += size
         self._state.address = self._state.expected = self._pc
-        if self._core.event_register:
-            self._core.event_register = False
+        if self.core.event_register:
+            self.core.event_register = False
         else:
             self._sleeping = True
 
@@ -367,77 +370,49 @@ class VirtualChip:
         self._state.line = 0xFFFF_FFFF
         self._state.fetch_wait = 0 if enabled else self._cost.fetch_wait_uncached_parts
 
-    def _mmio_read(self, base: int, _uc: Any, offset: int, size: int, _data: Any) -> int:
-        return self._access(base, offset, size, None)
-
-    def _mmio_write(self, base: int, _uc: Any, offset: int, size: int, value: int, _data: Any) -> None:
-        self._access(base, offset, size, value & 0xFFFF_FFFF)
-
-    def _access(self, base: int, offset: int, size: int, value: int | None) -> int:
+    def _access(self, base: int, offset: int, size: int, value: int | None = None) -> int:
         """Read (value None) or write a register; an error is kept for after the emulator has stopped."""
-        result = 0
-        if self._access_error is None:
-            try:
-                peripheral = self._peripheral(base + offset)
-                assert peripheral is not None
-                self._before_access(peripheral, offset, size)
-                if value is None:
-                    result = peripheral.read(offset)
-                else:
-                    peripheral.write(offset, value)
-                self._set_limit()
-            except ChipError as error:
-                self._refuse(error)
-        return result
-
-    def _before_access(self, peripheral: Peripheral, offset: int, size: int) -> None:
-        if size != 4 or offset % 4:
-            raise self.fail(
-                f"access of {size} bytes to {peripheral.name} + 0x{offset:03x}: only aligned words are taken"
-            )
-        self._handle_events()
+        if self._access_error is not None:
+            return 0
+        try:
+            peripheral, _ = self._find(base + offset)
+            assert peripheral is not None
+            if size != 4 or offset % 4:
+                raise self.fail(
+                    f"access of {size} bytes to {peripheral.name} + 0x{offset:03x}: only aligned words are "
+                    "taken"
+                )
+            self._handle_events()
+            result = 0
+            if value is None:
+                result = peripheral.read(offset)
+            else:
+                peripheral.write(offset, value & 0xFFFF_FFFF)
+            self._set_limit()
+            return result
+        except ChipError as error:
+            self._refuse(error)
+            return 0
 
     def _on_invalid(self, _uc: Any, access: int, address: int, size: int, _value: int, _data: Any) -> bool:
-        self._invalid = (access, address, size)
+        self._invalid = invalid_access(access, address, size)
         return False
-
-    def _fault(self, error: Exception) -> ChipError:
-        """Turn unicorn's error into one that says what the hardware would have done."""
-        if self._invalid is None:
-            return self.fail(f"hard fault: {error}")
-        return self.fail(invalid_access(*self._invalid))
 
     def fail(self, what: str) -> ChipError:
         """Make an error that says where the program was, and when."""
         pc = self._state.address
         return ChipError(f"{what} (pc 0x{pc:08x} in {self._image.function_at(pc)}, {self.time_us:.3f} us)")
 
-    def publish(self, event_address: int) -> None:
-        """Pass a peripheral's event on through PPI."""
-        self._ppi.pass_on(event_address)
-
     def trigger(self, task_address: int) -> None:
         """Trigger a task, as PPI does."""
-        peripheral = self._peripheral(task_address)
-        assert peripheral is not None
-        peripheral.on_task(peripheral.by_offset[task_address & (PAGE - 1)].name)
+        peripheral, register = self._find(task_address)
+        assert peripheral is not None and register is not None
+        peripheral.on_task(register.name)
 
-    def _has(self, address: int, prefix: str) -> bool:
-        peripheral = self._peripheral(address)
-        register = peripheral.by_offset.get(address & (PAGE - 1)) if peripheral else None
+    def has_register(self, address: int, prefix: str) -> bool:
+        """Whether the model has a register of such a name at an address."""
+        _, register = self._find(address)
         return register is not None and register.name.startswith(prefix)
-
-    def is_event(self, address: int) -> bool:
-        """Whether PPI finds an event there."""
-        return self._has(address, "EVENTS_")
-
-    def is_task(self, address: int) -> bool:
-        """Whether PPI finds a task there."""
-        return self._has(address, "TASKS_")
-
-    def set_interrupt_line(self, irq: int, level: bool) -> None:
-        """Pass a peripheral's interrupt line to the NVIC."""
-        self._core.set_line(irq, level)
 
     def ram_read(self, address: int, count: int) -> bytes:
         """Read RAM, as EasyDMA or a debugger does."""

@@ -1,4 +1,4 @@
-"""Cycles of each instruction on the Cortex-M4 with FPU, as a table over the flash.
+"""Cycles of each instruction on the Cortex-M4 with FPU, as a table over the flash, and a profile of them.
 
 Source: Arm, Cortex-M4 Technical Reference Manual r0p1 (DDI 0439D), tables 3-1 and 7-1 and section 3.3.2;
 Nordic, nRF52832 Product Specification, chapter CPU, wait states. Where they give a range, its upper end:
@@ -25,10 +25,12 @@ from functools import lru_cache
 from typing import Any, Final
 
 import capstone
+import numpy as np
 from capstone import arm
 
 from frogkick.pool.chip.bus import FLASH_BYTES, ChipError
 from frogkick.pool.chip.hook import Flag
+from frogkick.pool.chip.image import FirmwareImage
 
 PARTS: Final = 256
 """Time is counted in 1/256 of a cycle, so that average wait states stay integers."""
@@ -306,3 +308,45 @@ class CostTable:
                 f"(bytes {self._flash[address : address + 4].hex()}): the firmware ran into data, or is "
                 "for another core"
             )
+
+
+@dataclass(frozen=True)
+class FunctionCost:
+    """Cost of a function without the functions that it calls.
+
+    Attributes:
+        name: of the C function.
+        calls: number of executions of its first instruction.
+        instructions: number of executed instructions.
+        cycles: with wait states.
+    """
+
+    name: str
+    calls: int
+    instructions: int
+    cycles: float
+
+
+class Profile:
+    """Counts that the hook fills while the chip runs."""
+
+    def __init__(self, image: FirmwareImage) -> None:
+        """Start with zero counts; ``image`` has the functions."""
+        self._image = image
+        self.parts = (ctypes.c_uint64 * (FLASH_BYTES // 2))()
+        self.visits = (ctypes.c_uint32 * (FLASH_BYTES // 2))()
+
+    def functions(self) -> list[FunctionCost]:
+        """Functions that ran, the most expensive first."""
+        parts = np.ctypeslib.as_array(self.parts)
+        visits = np.ctypeslib.as_array(self.visits)
+        begins = [address // 2 for address, _ in self._image.functions]
+        found = []
+        for place, (address, name) in enumerate(self._image.functions):
+            begin = address // 2
+            end = begins[place + 1] if place + 1 < len(begins) else len(visits)
+            instructions = int(visits[begin:end].sum(dtype=np.uint64))
+            if instructions:
+                cycles = int(parts[begin:end].sum()) / PARTS
+                found.append(FunctionCost(name, int(visits[begin]), instructions, cycles))
+        return sorted(found, key=lambda function: -function.cycles)

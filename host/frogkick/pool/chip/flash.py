@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import unicorn as unicorn_module
 
-from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError
+from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError, Peripheral, registers
 from frogkick.pool.chip.cost import PARTS
 from frogkick.pool.chip.hook import HookState
+
+if TYPE_CHECKING:
+    from frogkick.pool.chip.chip import VirtualChip
 
 unicorn: Any = unicorn_module  # its type hints do not export what it documents
 PAGE_BYTES: Final = 4096
@@ -118,3 +121,38 @@ class Flash:
     def content(self) -> bytes:
         """All of it, as it outlives a loss of power."""
         return bytes(self._uc.mem_read(0, FLASH_BYTES))
+
+
+class Nvmc(Peripheral):
+    """The instruction cache's switch, and flash. The core waits for that, and never sees READY at 0."""
+
+    name, base = "NVMC", 0x4001_E000
+    REGISTERS = [
+        *registers("r", READY=0x400),
+        *registers("rw", CONFIG=0x504, ERASEPAGE=0x508, ICACHECNF=0x540),
+    ]
+
+    def __init__(self, system: VirtualChip, on_cache: Callable[[bool], None], flash: Flash) -> None:
+        """``on_cache`` hears when the cache is switched."""
+        super().__init__(system)
+        self._on_cache = on_cache
+        self._flash = flash
+        self.values["READY"] = 1
+        flash.configure(READ_ONLY)
+        # Memory must not change under an instruction of the emulator: it is done before the next one.
+        self._configure = system.scheduler.add(lambda: flash.configure(self.values["CONFIG"]))
+        self._erase = system.scheduler.add(lambda: flash.erase(self.values["ERASEPAGE"]))
+
+    def on_write(self, name: str, value: int) -> None:
+        """Switch the cache, allow writing or erasing, erase."""
+        if name == "ERASEPAGE":
+            self._flash.require_erasable(value)
+            self.values[name] = value
+            self.system.scheduler.at(self._erase, self.system.now_cycle)
+            return
+        self.allow(name, value, (0, 1) if name == "ICACHECNF" else (READ_ONLY, WRITE, ERASE))
+        self.values[name] = value
+        if name == "CONFIG":
+            self.system.scheduler.at(self._configure, self.system.now_cycle)
+        else:
+            self._on_cache(bool(value))

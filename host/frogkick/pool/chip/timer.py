@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from frogkick.pool.chip.bus import NEVER, Peripheral, Register, System, array
+from frogkick.pool.chip.bus import NEVER, Peripheral, array, registers
+
+if TYPE_CHECKING:
+    from frogkick.pool.chip.chip import VirtualChip
 
 CHANNELS: Final = 4
 _BITS: Final = {0: 16, 1: 8, 2: 24, 3: 32}
@@ -27,28 +30,21 @@ class Timer(Peripheral):
         draws: current, from START until SHUTDOWN, though it was stopped (erratum 78).
     """
 
-    NAME = "TIMER"
     REGISTERS = [
-        Register("TASKS_START", 0x000, "w"),
-        Register("TASKS_STOP", 0x004, "w"),
-        Register("TASKS_COUNT", 0x008, "w"),
-        Register("TASKS_CLEAR", 0x00C, "w"),
-        Register("TASKS_SHUTDOWN", 0x010, "w"),
-        *array("TASKS_CAPTURE[{}]", 0x040, "w", CHANNELS),
-        *array("EVENTS_COMPARE[{}]", 0x140, "rw", CHANNELS),
-        Register("SHORTS", 0x200, "rw"),
-        Register("INTENSET", 0x304, "rw"),
-        Register("INTENCLR", 0x308, "rw"),
-        Register("MODE", 0x504, "rw"),
-        Register("BITMODE", 0x508, "rw"),
-        Register("PRESCALER", 0x510, "rw"),
-        *array("CC[{}]", 0x540, "rw", CHANNELS),
+        *registers("w", TASKS_START=0x000, TASKS_STOP=0x004, TASKS_COUNT=0x008, TASKS_CLEAR=0x00C),
+        *registers("w", TASKS_SHUTDOWN=0x010),
+        *array("w", "TASKS_CAPTURE[{}]", 0x040, CHANNELS),
+        *array("rw", "EVENTS_COMPARE[{}]", 0x140, CHANNELS),
+        *registers("rw", SHORTS=0x200, INTENSET=0x304, INTENCLR=0x308),
+        *registers("rw", MODE=0x504, BITMODE=0x508, PRESCALER=0x510),
+        *array("rw", "CC[{}]", 0x540, CHANNELS),
     ]
     INTERRUPT_EVENTS = {16 + i: f"EVENTS_COMPARE[{i}]" for i in range(CHANNELS)}
 
-    def __init__(self, system: System, name: str, base: int) -> None:
+    def __init__(self, system: VirtualChip, number: int) -> None:
         """Start stopped at 0, with the reset value of PRESCALER."""
-        super().__init__(system, name, base)
+        self.name, self.base = f"TIMER{number}", 0x4000_8000 + 0x1000 * number
+        super().__init__(system)
         self.values["PRESCALER"] = 4
         self._running = self.draws = False
         self._count = 0  # counter's value at _since, or now where it does not run by itself

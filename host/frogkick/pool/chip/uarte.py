@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from enum import Enum, auto
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from frogkick.pool.chip.bus import CYCLES_PER_US, NEVER, RAM_BASE, RAM_BYTES, Peripheral, Register, System
+from frogkick.pool.chip.bus import CYCLES_PER_S, NEVER, RAM_BASE, RAM_BYTES, Peripheral, registers
+
+if TYPE_CHECKING:
+    from frogkick.pool.chip.chip import VirtualChip
 
 BITS_PER_S: Final = 115_200
 _BITS_PER_BYTE: Final = 10
-_CYCLES_PER_S: Final = CYCLES_PER_US * 1_000_000
 FIFO_BYTES: Final = 4
 """Bytes that the receiver keeps while EasyDMA has no buffer (the specification: up to four after STOPRX)."""
 DMA_CYCLES: Final = 16
@@ -24,7 +26,7 @@ _DISCONNECTED: Final = 0xFFFF_FFFF
 
 def bytes_cycles(count: int) -> int:
     """Cycles that ``count`` bytes in a row take on the wire, rounded down."""
-    return count * _BITS_PER_BYTE * _CYCLES_PER_S // BITS_PER_S
+    return count * _BITS_PER_BYTE * CYCLES_PER_S // BITS_PER_S
 
 
 class _Receiver(Enum):
@@ -37,30 +39,16 @@ class _Receiver(Enum):
 class Uarte(Peripheral):
     """Receiver with a double-buffered pointer, transmitter, both at the wire's pace."""
 
-    NAME = "UARTE0"
+    name, base = "UARTE0", 0x4000_2000
     REGISTERS = [
-        Register("TASKS_STARTRX", 0x000, "w"),
-        Register("TASKS_STOPRX", 0x004, "w"),
-        Register("TASKS_STARTTX", 0x008, "w"),
-        Register("EVENTS_RXDRDY", 0x108, "rw"),
-        Register("EVENTS_ENDRX", 0x110, "rw"),
-        Register("EVENTS_ENDTX", 0x120, "rw"),
-        Register("EVENTS_ERROR", 0x124, "rw"),
-        Register("EVENTS_RXTO", 0x144, "rw"),
-        Register("EVENTS_RXSTARTED", 0x14C, "rw"),
-        Register("SHORTS", 0x200, "rw"),
-        Register("INTENSET", 0x304, "rw"),
-        Register("INTENCLR", 0x308, "rw"),
-        Register("ERRORSRC", 0x480, "rw"),
-        Register("ENABLE", 0x500, "rw"),
-        Register("PSEL.TXD", 0x50C, "rw"),
-        Register("PSEL.RXD", 0x514, "rw"),
-        Register("BAUDRATE", 0x524, "rw"),
-        Register("RXD.PTR", 0x534, "rw"),
-        Register("RXD.MAXCNT", 0x538, "rw"),
-        Register("RXD.AMOUNT", 0x53C, "r"),
-        Register("TXD.PTR", 0x544, "rw"),
-        Register("TXD.MAXCNT", 0x548, "rw"),
+        *registers("w", TASKS_STARTRX=0x000, TASKS_STOPRX=0x004, TASKS_STARTTX=0x008),
+        *registers("rw", EVENTS_RXDRDY=0x108, EVENTS_ENDRX=0x110, EVENTS_ENDTX=0x120, EVENTS_ERROR=0x124),
+        *registers("rw", EVENTS_RXTO=0x144, EVENTS_RXSTARTED=0x14C),
+        *registers("rw", SHORTS=0x200, INTENSET=0x304, INTENCLR=0x308),
+        *registers("rw", ERRORSRC=0x480, ENABLE=0x500, BAUDRATE=0x524),
+        *registers("rw", **{"PSEL.TXD": 0x50C, "PSEL.RXD": 0x514}),
+        *registers("rw", **{"RXD.PTR": 0x534, "RXD.MAXCNT": 0x538, "TXD.PTR": 0x544, "TXD.MAXCNT": 0x548}),
+        *registers("r", **{"RXD.AMOUNT": 0x53C}),
     ]
     INTERRUPT_EVENTS = {
         2: "EVENTS_RXDRDY",
@@ -71,9 +59,9 @@ class Uarte(Peripheral):
         19: "EVENTS_RXSTARTED",
     }
 
-    def __init__(self, system: System, name: str, base: int) -> None:
+    def __init__(self, system: VirtualChip) -> None:
         """Start disabled."""
-        super().__init__(system, name, base)
+        super().__init__(system)
         self.values["PSEL.TXD"] = self.values["PSEL.RXD"] = _DISCONNECTED
         self.values["BAUDRATE"] = 0x04000000  # reset value, 250000 baud
         self._arriving: deque[tuple[int, int]] = deque()

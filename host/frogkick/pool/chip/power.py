@@ -1,0 +1,244 @@
+"""POWER, the watchdog, CLOCK, FICR and RNG, as far as the firmware uses them."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+from frogkick.pool.chip.bus import CYCLES_PER_S, CYCLES_PER_US, NEVER, Peripheral, array, registers
+from frogkick.pool.chip.timer import HFINT_PERCENT, Timer
+
+if TYPE_CHECKING:
+    from frogkick.pool.chip.chip import VirtualChip
+
+LFCLK_HZ: Final = 32_768
+DOG: Final = 1 << 1
+_RELOAD: Final = 0x6E524635
+_CONFIG_SLEEP_RUN: Final = 1
+_CRV_MIN: Final = 0xF
+_POF_LEAST, _POF_LEAST_V = 4, 1.7
+HFXO_START_CYCLES: Final = 360 * CYCLES_PER_US
+"""Start of the 32 MHz crystal, typical value of the product specification (t_START_HFXO)."""
+_XTAL, _RUNNING = 1, 1 << 16
+RNG_BYTE_CYCLES: Final = 120 * CYCLES_PER_US
+"""One byte with bias correction, typical value of the product specification (t_RNG,BC)."""
+_DERCEN: Final = 1
+
+
+class Power(Peripheral):
+    """Why the chip started, and the comparator that warns of a falling supply.
+
+    Reasons add up over all resets but power-on; writing a one takes one back. The comparator warns when the
+    supply falls below its threshold, or is below when it is switched on; of one that rises it says nothing.
+
+    Attributes:
+        supply_v: what the chip is supplied with; ``set_supply`` changes it.
+        input_v: voltages at the analogue inputs AIN0 to AIN7.
+        constant_latency: the mode that costs current asleep; a reset leaves the other.
+        crystal_works: whether the board's 32 MHz crystal ever starts.
+    """
+
+    name, base = "POWER", 0x4000_0000
+    REGISTERS = [
+        *registers("w", TASKS_LOWPWR=0x07C),
+        *registers("rw", EVENTS_POFWARN=0x108, INTENSET=0x304, RESETREAS=0x400, POFCON=0x510),
+    ]
+    INTERRUPT_EVENTS = {2: "EVENTS_POFWARN"}
+
+    supply_v = 3.0  # of Nordic's kit
+    constant_latency = False
+    crystal_works = True
+    _is_below = False
+
+    def __init__(self, system: VirtualChip) -> None:
+        """Well supplied, nothing at the analogue inputs."""
+        super().__init__(system)
+        self.input_v = [0.0] * 8
+
+    def reset(self) -> None:
+        """A reset of the chip: the comparator is off, the reasons stay, and so does the supply."""
+        self.values |= {"EVENTS_POFWARN": 0, "POFCON": 0}
+        self._interrupts = 0
+        self._is_below = self.constant_latency = False
+
+    def set_supply(self, supply_v: float) -> None:
+        """Another supply from now on, V."""
+        self.supply_v = supply_v
+        self._compare()
+
+    def _compare(self) -> None:
+        """POFCON.THRESHOLD: 4 is 1.7 V, and each more 0.1 V."""
+        threshold_v = _POF_LEAST_V + 0.1 * ((self.values["POFCON"] >> 1) - _POF_LEAST)
+        was_below, self._is_below = self._is_below, self.supply_v < threshold_v
+        if not self.values["POFCON"] & 1:
+            self._is_below = False
+        elif self._is_below and not was_below:
+            self.raise_event("EVENTS_POFWARN")
+
+    def on_task(self, name: str) -> None:
+        """Go back to the mode after a reset."""
+        self.constant_latency = False
+
+    def on_clear_task(self, channel: int) -> None:
+        """Erratum 156: a CLR task of GPIOTE switches the mode as well, even ones this way, odd ones that."""
+        self.constant_latency = channel % 2 == 0
+
+    def on_write(self, name: str, value: int) -> None:
+        """Take reasons back; switch the comparator."""
+        if name == "RESETREAS":
+            self.values[name] &= ~value
+            return
+        self.allow(name, value >> 1, range(_POF_LEAST, 16))
+        self.values[name] = value
+        self._compare()
+
+
+class Watchdog(Peripheral):
+    """A countdown of the 32,768 Hz clock that resets the chip, unless the one request register reloads it."""
+
+    name, base = "WDT", 0x4001_0000
+    REGISTERS = [
+        *registers("w", TASKS_START=0x000),
+        *registers("rw", CRV=0x504, RREN=0x508, CONFIG=0x50C),
+        *array("w", "RR[{}]", 0x600, 8),
+    ]
+
+    def __init__(self, system: VirtualChip, on_timeout: Callable[[], None]) -> None:
+        """``on_timeout`` resets the chip."""
+        super().__init__(system)
+        self.values |= {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
+        self._running = False
+        self.started_cycle = NEVER
+        self._due = NEVER
+        self._timeout = system.scheduler.add(on_timeout)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Meanwhile it stands still, as under a debugger: who calls from outside does not feed it."""
+        left = self._due - self.system.now_cycle
+        self.system.scheduler.at(self._timeout, NEVER)
+        try:
+            yield
+        finally:
+            if self._running:
+                self._due = self.system.now_cycle + left
+                self.system.scheduler.at(self._timeout, self._due)
+
+    def _reload(self) -> None:
+        cycles = (self.values["CRV"] + 1) * CYCLES_PER_S // LFCLK_HZ
+        self._due = self.system.now_cycle + cycles
+        self.system.scheduler.at(self._timeout, self._due)
+
+    def on_task(self, name: str) -> None:
+        """Start; a second time does nothing."""
+        if not self._running:
+            self._running = True
+            self.started_cycle = self.system.now_cycle
+            self._reload()
+
+    def on_write(self, name: str, value: int) -> None:
+        """Set it up while it does not run yet, or feed it."""
+        if name.startswith("RR["):
+            if value != _RELOAD:
+                raise self.refuse(name, value, "only 0x6e524635 reloads the watchdog")
+            if name != "RR[0]":
+                raise self.refuse(name, value, "only RR[0] is enabled")
+            if self._running:
+                self._reload()
+            return
+        if self._running:
+            raise self.refuse(name, value, "the watchdog runs: nothing can be changed until a reset")
+        if name == "CRV":
+            self.allow(name, value, range(_CRV_MIN, 1 << 32))
+        else:
+            # Paused in sleep it would not see a robot that never wakes.
+            self.allow(name, value, (_CONFIG_SLEEP_RUN,) if name == "CONFIG" else (1,))
+        self.values[name] = value
+
+
+class Clock(Peripheral):
+    """The 32 MHz crystal: its start, its end, and who counts by it."""
+
+    name, base = "CLOCK", 0x4000_0000
+    REGISTERS = [
+        *registers("w", TASKS_HFCLKSTART=0x000),
+        *registers("rw", EVENTS_HFCLKSTARTED=0x100, ERRATUM_31=0x53C, ERRATUM_108=0xEE4),
+        *registers("r", HFCLKSTAT=0x40C),
+    ]
+
+    def __init__(self, system: VirtualChip, power: Power, timers: Sequence[Timer]) -> None:
+        """Start on the internal oscillator, by which the timers count; ``power`` outlives a reset."""
+        super().__init__(system)
+        self._power = power
+        power.constant_latency = False
+        self._timers = timers
+        self._started = system.scheduler.add(self._run)
+        self.values["HFCLKSTAT"] = _RUNNING
+
+    def _switch(self, crystal: bool) -> None:
+        self.values["HFCLKSTAT"] = _RUNNING | (_XTAL if crystal else 0)
+        for timer in self._timers:
+            timer.count_by(100 if crystal else HFINT_PERCENT)
+
+    def _run(self) -> None:
+        self._switch(True)
+        self.raise_event("EVENTS_HFCLKSTARTED")
+
+    def break_down(self) -> None:
+        """The crystal stops, and will not start again."""
+        self._power.crystal_works = False
+        self.system.scheduler.at(self._started, NEVER)
+        self._switch(False)
+
+    def on_task(self, name: str) -> None:
+        """Start the crystal."""
+        if self._power.crystal_works:
+            self.system.scheduler.at(self._started, self.system.now_cycle + HFXO_START_CYCLES)
+
+
+class Ficr(Peripheral):
+    """What the factory has written: two words without a name, which start-up code copies after a reset."""
+
+    name, base = "FICR", 0x1000_0000
+    REGISTERS = registers("r", ERRATUM_31=0x244, ERRATUM_108=0x258)
+
+    def __init__(self, system: VirtualChip) -> None:
+        """Arbitrary values, which include bits that the start-up code must not copy."""
+        super().__init__(system)
+        self.values |= {"ERRATUM_31": 0x1234_BFFF, "ERRATUM_108": 0xFFFF_FFCA}
+
+
+class Rng(Peripheral):
+    """Noise that is the same for every chip, so that the same firmware and calls give the same bytes."""
+
+    name, base = "RNG", 0x4000_D000
+    REGISTERS = [
+        *registers("w", TASKS_START=0x000, TASKS_STOP=0x004),
+        *registers("rw", EVENTS_VALRDY=0x100, CONFIG=0x504),
+        *registers("r", VALUE=0x508),
+    ]
+
+    def __init__(self, system: VirtualChip) -> None:
+        """Stopped."""
+        super().__init__(system)
+        self._noise = random.Random(self.name)
+        self._next = system.scheduler.add(self._make)
+
+    def on_write(self, name: str, value: int) -> None:
+        """Refuse to run without bias correction, whose bytes the firmware needs."""
+        self.allow(name, value, (_DERCEN,))
+        self.values[name] = value
+
+    def on_task(self, name: str) -> None:
+        """Begin, or stop."""
+        if name == "TASKS_START" and not self.values["CONFIG"] & _DERCEN:
+            raise self.refuse(name, 1, "the bytes would be biased: set CONFIG.DERCEN first")
+        at = self.system.now_cycle + RNG_BYTE_CYCLES if name == "TASKS_START" else NEVER
+        self.system.scheduler.at(self._next, at)
+
+    def _make(self) -> None:
+        self.values["VALUE"] = self._noise.getrandbits(8)
+        self.system.scheduler.at(self._next, self.system.now_cycle + RNG_BYTE_CYCLES)
+        self.raise_event("EVENTS_VALRDY")

@@ -119,15 +119,15 @@ def test_every_study_has_its_line_its_configuration_and_its_module() -> None:
 
 def test_numbers_that_stand_twice_are_the_same() -> None:
     """In a command's file once more, so that its help loads nothing else."""
-    from frogkick.cli import library, parity, retune
+    from frogkick.cli import identify, make, research
     from frogkick.front import parity as parity_of_places
     from frogkick.front import retuning
     from frogkick.library import RECORD_S
     from frogkick.library.fitting import WHOLE_MIN
 
-    assert library.RECORD_S == RECORD_S
-    assert parity.LOOP_DECISIONS == parity_of_places.LOOP_DECISIONS
-    assert retune.STATES_LEAST == WHOLE_MIN and retune.STATES == retuning.STATES
+    assert make.RECORD_S == RECORD_S
+    assert research.LOOP_DECISIONS == parity_of_places.LOOP_DECISIONS
+    assert identify.STATES_LEAST == WHOLE_MIN and identify.STATES == retuning.STATES
 
 
 @pytest.mark.parametrize(

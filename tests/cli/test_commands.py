@@ -333,7 +333,7 @@ def test_commands_make_their_own_table_where_none_is_given(
     here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is affine, so from more states than the small table."""
-    monkeypatch.setattr("frogkick.front.default_tables.STATES", fitting.WHOLE_MIN)
+    monkeypatch.setattr("frogkick.front.tables.STATES", fitting.WHOLE_MIN)
     done = frogkick(
         capsys, "run", "--robot", "virtual", "--plan", "onboard", "--path", "line", "--simulated-time", "2",
         "--out", "run.h5", "--json",
@@ -348,7 +348,7 @@ def test_commands_make_their_own_table_where_none_is_given(
 
 @from_ci
 def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from frogkick.front.default_tables import default_tables
+    from frogkick.front.tables import default_tables
 
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path))
     made = default_tables("frog2022", 1, "visited")
@@ -362,8 +362,7 @@ def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytes
 def test_two_that_want_the_same_table_at_once_both_get_it(tmp_path: Path) -> None:
     """One builds it, the other waits; neither takes away what the other reads."""
     code = (
-        "from frogkick.front.default_tables import default_tables as made\n"
-        "print(made('frog2022', 2, 'visited').stem)"
+        "from frogkick.front.tables import default_tables as made\nprint(made('frog2022', 2, 'visited').stem)"
     )
     asking = 3
     many = [

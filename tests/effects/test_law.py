@@ -20,7 +20,7 @@ from frogkick.core.errors import InputError
 from frogkick.der import Swimmer, prepare
 from frogkick.effects import Acting, Body, Effect, Fix, History, Law, Stroke, make_effect, read_world
 from frogkick.effects.formula import FUNCTIONS, ONE, parse, unit_of
-from frogkick.front.default_tables import default_tables
+from frogkick.front.tables import default_tables
 from frogkick.robot import load_robot
 from frogkick.robot.load import parse_robot
 from frogkick.robot.toml_text import to_toml

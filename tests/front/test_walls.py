@@ -11,8 +11,7 @@ from tests.conftest import from_ci
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.front.default_tables import default_tables
-from frogkick.front.tables import load_table
+from frogkick.front.tables import default_tables, load_table
 from frogkick.front.walls import MARGIN_M, WALL_GLIDE, WALL_WEIGHT_PER_M, walled
 from frogkick.paths import from_waypoints
 from frogkick.planner.plan import PlanConfig, config_of, plan

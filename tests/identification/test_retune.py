@@ -14,8 +14,8 @@ import pytest
 from made import known_outcome, make_run, make_swim, robot, robot_option
 from tests.conftest import from_ci
 
+from frogkick.cli.identify import printed
 from frogkick.cli.main import run_command
-from frogkick.cli.retune import printed
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.effects import make_effect

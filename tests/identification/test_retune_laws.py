@@ -11,7 +11,7 @@ from made import known_outcome, make_swim, robot
 from test_retune import WEAR, WORN, silent, tools_of
 from tests.conftest import from_ci
 
-from frogkick.cli.retune import printed
+from frogkick.cli.identify import printed
 from frogkick.effects import Law, body_effects
 from frogkick.front.retuning import Retuning
 from frogkick.identification import retune as module

@@ -64,7 +64,7 @@ def test_it_is_the_table_of_commands_that_are_given_none(
     from frogkick.ring import make_tables
 
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr("frogkick.front.default_tables.STATES", WHOLE_MIN)
+    monkeypatch.setattr("frogkick.front.tables.STATES", WHOLE_MIN)
     ROBOT.save(tmp_path / "own.toml")
     kept = fk.load_table(robot=str(tmp_path / "own.toml"))
     ours = make_tables(ROBOT, tmp_path, WHOLE_MIN, 0, stage, "library")

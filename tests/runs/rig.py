@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.core.poses import Fix
-from frogkick.front.default_tables import default_tables
+from frogkick.front.tables import default_tables
 from frogkick.link.wire import RobotPort
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig

@@ -13,7 +13,7 @@ from tests.conftest import from_ci, some
 from tests.runs import rig
 
 from frogkick.estimator.follow import IDLE_DECISIONS_MAX, End
-from frogkick.front.default_tables import default_tables
+from frogkick.front.tables import default_tables
 from frogkick.paths import Path, from_waypoints
 from frogkick.paths.shapes import circle
 from frogkick.planner.plan import config_of

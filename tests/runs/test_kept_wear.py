@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import frogkick as fk
 from frogkick.cli.app import app
-from frogkick.front.default_tables import default_tables
+from frogkick.front.tables import default_tables
 from frogkick.link.layout import link_layout
 from frogkick.link.log import fetch_log
 from frogkick.paths import shape

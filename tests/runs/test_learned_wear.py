@@ -15,7 +15,7 @@ import frogkick as fk
 from frogkick.cli.app import app
 from frogkick.core.errors import InputError
 from frogkick.estimator.wear import NOISE, WearFilter
-from frogkick.front.default_tables import default_tables
+from frogkick.front.tables import default_tables
 from frogkick.runs.record import LEARN, limb_events
 from frogkick.tables.image import Tables, read_image
 from frogkick.tables.layout import LOST_MAX

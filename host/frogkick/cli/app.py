@@ -10,13 +10,14 @@ import typer.main
 from typer.core import TyperGroup
 
 import frogkick
+from frogkick.cli.common import with_options
 from frogkick.core.interrupts import ctrl_c_waits
 
 LOG_COMMANDS = {
-    "show": ("log:show_", "Show a run in numbers and in one picture."),
+    "show": ("log:show_run", "Show a run in numbers and in one picture."),
     "compare": ("log:compare", "Compare two runs side by side."),
-    "fetch": ("replay:fetch", "Fetch the log that a robot keeps in its RAM."),
-    "replay": ("replay:replay_fetched", "Repeat the decisions of a fetched log and compare them."),
+    "fetch": ("log:fetch", "Fetch the log that a robot keeps in its RAM."),
+    "replay": ("log:replay_fetched", "Repeat the decisions of a fetched log and compare them."),
 }
 STUDY_COMMANDS = {
     "tables": ("study", "Compare the error of both kinds of table with their size."),
@@ -45,34 +46,34 @@ SECTIONS = {
 }  # fmt: skip
 """The section of the help that lists each command, in this order."""
 COMMANDS = {
-    "demo": ("demo:demo", "Go once round the ring on the virtual chip and write a report."),
-    "doctor": ("doctor:doctor", "Show what this machine has, and what to install for more."),
-    "simulate": ("simulate:simulate", "Simulate a gait, or a sequence of actions."),
-    "sweep": ("sweep:sweep", "Simulate every EGaIn fraction, frequency and phase."),
-    "validate": ("validate:validate", "Compare the model with simulated and measured swims."),
-    "codegen": ("codegen:codegen", "Generate C99 from a table and the planner."),
+    "demo": ("start:demo", "Go once round the ring on the virtual chip and write a report."),
+    "doctor": ("start:doctor", "Show what this machine has, and what to install for more."),
+    "simulate": ("make:simulate", "Simulate a gait, or a sequence of actions."),
+    "sweep": ("research:sweep", "Simulate every EGaIn fraction, frequency and phase."),
+    "validate": ("research:validate", "Compare the model with simulated and measured swims."),
+    "codegen": ("make:codegen", "Generate C99 from a table and the planner."),
     "run": ("run:run", "Follow a path in closed loop, from position fixes to strokes."),
-    "pool": ("pool:command", "Serve a simulated robot at a serial port, with a camera over it."),
-    "replay": ("replay:replay", "Replay a run's fixes and compare each decision."),
-    "parity": ("parity:parity", "Check that Python, native C and the chip decide the same bits."),
+    "pool": ("robots:serve_pool", "Serve a simulated robot at a serial port, with a camera over it."),
+    "replay": ("log:replay", "Replay a run's fixes and compare each decision."),
+    "parity": ("research:parity", "Check that Python, native C and the chip decide the same bits."),
     "import": ("log:import_", "Import recorded runs and repair or mark their faults."),
-    "identify": ("identify:command", "Identify the physical effects that a robot's model lacks."),
-    "retune": ("retune:command", "Make new tables for a worn robot."),
-    "scan": ("push:scan", "List the robots in Bluetooth range: signal, table and state."),
-    "push": ("push:command", "Send a robot another table by Bluetooth or serial line."),
-    "own": ("push:own", "Restrict a robot to the commands of its owner."),
+    "identify": ("identify:identify", "Identify the physical effects that a robot's model lacks."),
+    "retune": ("identify:retune", "Make new tables for a worn robot."),
+    "scan": ("robots:scan", "List the robots in Bluetooth range: signal, table and state."),
+    "push": ("robots:push", "Send a robot another table by Bluetooth or serial line."),
+    "own": ("robots:own", "Restrict a robot to the commands of its owner."),
     "export": ("log:export", "Export a run as CSV or as MCAP."),
-    "robot": ("robot", "List and show robots, and write the file of a new one."),
-    "camera": ("camera", "Calibrate and check the camera, and track or print the tag."),
+    "robot": ("start:robot", "List and show robots, and write the file of a new one."),
+    "camera": ("camera:camera", "Calibrate and check the camera, and track or print the tag."),
     "log": (LOG_COMMANDS, "Show and compare runs, and fetch a robot's own log."),
-    "library": ("library", "Simulate transitions for many initial velocities."),
-    "tables": ("tables", "Make the robot's table image from a library."),
-    "firmware": ("firmware", "Build, measure, flash and test the robot's firmware."),
+    "library": ("make:library", "Simulate transitions for many initial velocities."),
+    "tables": ("make:tables", "Make the robot's table image from a library."),
+    "firmware": ("make:firmware", "Build, measure, flash and test the robot's firmware."),
     "study": (STUDY_COMMANDS, "Run a study of the method and draw its figure."),
 }
 """For each name: its place in this package, and one line of help.
 
-The place is ``module:function``, the module of a group or of all studies, or the commands of a group.
+The place is ``module:name`` of a function or a group, the module of all studies, or the commands of a group.
 """
 
 
@@ -92,16 +93,16 @@ class LazyGroup(TyperGroup):
         place, text = self.table[cmd_name]
         if isinstance(place, dict):
             return typer.main.get_command(_group(cmd_name, text, place))
-        name, _, function = place.partition(":")
+        name, _, attribute = place.partition(":")
         with ctrl_c_waits():
             module = importlib.import_module(f"frogkick.cli.{name}")
         parent = typer.Typer(rich_markup_mode=None, add_completion=False)
         parent.callback()(lambda: None)
-        if hasattr(module, "app"):
-            parent.add_typer(module.app, name=cmd_name)
+        found = getattr(module, attribute) if attribute else module.command(cmd_name)
+        if isinstance(found, typer.Typer):
+            parent.add_typer(found, name=cmd_name)
         else:
-            command = getattr(module, function) if function else module.command(cmd_name)
-            parent.command(cmd_name, cls=getattr(module, "Command", None))(command)
+            parent.command(cmd_name, cls=getattr(module, "Command", None))(with_options(found))
         return typer.main.get_group(parent).commands[cmd_name]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -10,29 +10,17 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, WholeLines, json_text, say, show
+from frogkick.cli.common import JsonOption, SeedOption, group, json_text, say, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 
-app = typer.Typer(
-    cls=WholeLines,
-    help="Calibrate and check the camera over the pool, and track or print the robot's tag.",
-    no_args_is_help=True,
-)
-
-FamilyOption = Annotated[
-    str, typer.Option(help="Tag family: tag36h11, or tagStandard41h12 (needs the extra 'apriltag').")
-]
-TagIdOption = Annotated[int, typer.Option(help="Number of the tag in its family.")]
+FamilyOption = Annotated[str, "Tag family: tag36h11, or tagStandard41h12 (needs the extra 'apriltag')."]
+TagIdOption = Annotated[int, "Number of the tag in its family."]
 TagSizeOption = Annotated[
-    float,
-    typer.Option(help="Side of the black square of tag36h11, or of the white square of tagStandard41h12."),
+    float, "Side of the black square of tag36h11, or of the white square of tagStandard41h12."
 ]
 SourceOption = Annotated[
-    str,
-    typer.Option(
-        help="Camera number, network camera's address (http:, rtsp:), video, or folder of pictures."
-    ),
+    str, "Camera number, network camera's address (http:, rtsp:), video, or folder of pictures."
 ]
 
 
@@ -53,36 +41,31 @@ def _whole_pair(text: str, option: str) -> tuple[int, int]:
     return int(first), int(second)
 
 
-@app.command()
 def calibrate(
     pool: Annotated[str, typer.Option(help="Length and width of the pool, m.", metavar="LxW")],
-    out: Annotated[Path, typer.Option(help="Calibration file to write (.toml).")],
+    out: Annotated[Path, "Calibration file to write (.toml)."],
     corners: Annotated[
-        Path | None,
-        typer.Option(
-            help="File of the pool's corners in pixels (.toml, .csv), ordered (0,0), (L,0), (L,W), (0,W)."
-        ),
+        Path | None, "File of the pool's corners in pixels (.toml, .csv), ordered (0,0), (L,0), (L,W), (0,W)."
     ] = None,
     corner_height_mm: Annotated[
-        float, typer.Option(help="Height of the corners or of the board above the water; negative if below.")
+        float, "Height of the corners or of the board above the water; negative if below."
     ] = 0.0,
     image: Annotated[
         str | None, typer.Option(help="Size of the camera's pictures, px.", metavar="WxH")
     ] = None,
     camera_height_m: Annotated[
-        float | None,
-        typer.Option(help="Measured height of the camera above the water; not needed with a board."),
+        float | None, "Measured height of the camera above the water; not needed with a board."
     ] = None,
     board: Annotated[
-        str | None, typer.Option(help="Calibrate the lens from pictures of a board: chessboard or charuco.")
+        str | None, "Calibrate the lens from pictures of a board: chessboard or charuco."
     ] = None,
     squares: Annotated[
         str, typer.Option(help="Number of squares of the board, columns and rows.", metavar="CxR")
     ] = "9x6",
-    square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 25.0,
-    pictures: Annotated[Path | None, typer.Option(help="Folder of pictures of the board.")] = None,
+    square_mm: Annotated[float, "Side of a square of the board."] = 25.0,
+    pictures: Annotated[Path | None, "Folder of pictures of the board."] = None,
     plane_picture: Annotated[
-        Path | None, typer.Option(help="Picture of the board lying on the water's plane; replaces --corners.")
+        Path | None, "Picture of the board lying on the water's plane; replaces --corners."
     ] = None,
     board_at: Annotated[
         str,
@@ -94,20 +77,13 @@ def calibrate(
     tag_family: FamilyOption = "tag36h11",
     tag_id: TagIdOption = 0,
     tag_size_mm: TagSizeOption = 47.0,
-    tag_height_mm: Annotated[
-        float, typer.Option(help="Height of the tag above the water; negative if below.")
-    ] = 0.0,
-    tag_height_sd_mm: Annotated[
-        float, typer.Option(help="Standard deviation of the tag's height in waves.")
-    ] = 0.5,
+    tag_height_mm: Annotated[float, "Height of the tag above the water; negative if below."] = 0.0,
+    tag_height_sd_mm: Annotated[float, "Standard deviation of the tag's height in waves."] = 0.5,
     tag_tilt_sd_deg: Annotated[
-        float, typer.Option(help="Standard deviation of the tag's tilt in waves and while the robot swims.")
+        float, "Standard deviation of the tag's tilt in waves and while the robot swims."
     ] = 1.15,
     tag_heading_deg: Annotated[
-        float,
-        typer.Option(
-            help="Direction of the tag's top edge, counter-clockwise from the robot's forward axis."
-        ),
+        float, "Direction of the tag's top edge, counter-clockwise from the robot's forward axis."
     ] = 0.0,
     tag_at_mm: Annotated[
         str, typer.Option(help="Position of the tag's centre on the robot: forward, left.", metavar="X,Y")
@@ -157,27 +133,22 @@ def _signed_pair(text: str, option: str, unit: float) -> tuple[float, float]:
     return first, second
 
 
-@app.command()
 def check(
     calibration: Annotated[Path, typer.Argument(help="What 'camera calibrate' wrote.")],
-    points: Annotated[
-        Path | None, typer.Option(help="CSV of marked points with the columns x_px, y_px, x_m, y_m.")
-    ] = None,
+    points: Annotated[Path | None, "CSV of marked points with the columns x_px, y_px, x_m, y_m."] = None,
     places: Annotated[
         Path | None,
-        typer.Option(
-            help="CSV of pictures of the tag at known poses, with the columns image, x_m, y_m, heading_deg."
-        ),
+        "CSV of pictures of the tag at known poses, with the columns image, x_m, y_m, heading_deg.",
     ] = None,
     grid: Annotated[
         str, typer.Option(help="Number of rendered tags, used without --points and --places.", metavar="NxM")
     ] = "9x7",
-    blur_px: Annotated[float, typer.Option(help="Blur of the rendered pictures.")] = 0.6,
-    noise: Annotated[float, typer.Option(help="Noise of the rendered pictures, in grey levels.")] = 2.0,
-    wave_mm: Annotated[float, typer.Option(help="Standard deviation of the rendered tag's heave.")] = 0.0,
+    blur_px: Annotated[float, "Blur of the rendered pictures."] = 0.6,
+    noise: Annotated[float, "Noise of the rendered pictures, in grey levels."] = 2.0,
+    wave_mm: Annotated[float, "Standard deviation of the rendered tag's heave."] = 0.0,
     limit_mm: Annotated[float, typer.Option(help="Largest position error allowed.", min=0.0)] = 1.0,
     limit_deg: Annotated[float, typer.Option(help="Largest heading error allowed.", min=0.0)] = 0.5,
-    out: Annotated[Path | None, typer.Option(help="Folder for error_map.json and error_map.png.")] = None,
+    out: Annotated[Path | None, "Folder for error_map.json and error_map.png."] = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -218,16 +189,13 @@ def check(
         raise typer.Exit(1)
 
 
-@app.command()
 def track(
     calibration: Annotated[Path, typer.Argument(help="What 'camera calibrate' wrote.")],
     source: SourceOption = "0",
     seconds: Annotated[
-        float | None, typer.Option(help="Time to track; default: to the end of the source, or until Ctrl-C.")
+        float | None, "Time to track; default: to the end of the source, or until Ctrl-C."
     ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Draw the pictures, the tag and the fixes in the browser.")
-    ] = False,
+    view: Annotated[bool, "Draw the pictures, the tag and the fixes in the browser."] = False,
     json: JsonOption = False,
 ) -> None:
     """Print the tag's pose in each picture. No robot is needed.
@@ -257,9 +225,8 @@ def track(
         raise typer.Exit(1)
 
 
-@app.command()
 def picture(
-    out: Annotated[Path, typer.Option(help="Picture to write (.png or .jpg).")],
+    out: Annotated[Path, "Picture to write (.png or .jpg)."],
     source: SourceOption = "0",
     json: JsonOption = False,
 ) -> None:
@@ -274,9 +241,8 @@ def picture(
     show({"out": str(out), "image_px": [width_px, height_px]}, json)
 
 
-@app.command("tag")
 def tag_page(
-    out: Annotated[Path, typer.Option(help="Page to print (.pdf, .svg or .png).")],
+    out: Annotated[Path, "Page to print (.pdf, .svg or .png)."],
     tag_family: FamilyOption = "tag36h11",
     tag_id: TagIdOption = 0,
     tag_size_mm: TagSizeOption = 47.0,
@@ -288,3 +254,9 @@ def tag_page(
     require_writable(out)
     width_m, height_m = write_tag(out, family=tag_family, tag_id=tag_id, size_m=tag_size_mm / 1e3)
     show({"out": str(out), "page_mm": [1e3 * width_m, 1e3 * height_m], "tag_size_mm": tag_size_mm}, json)
+
+
+camera = group(
+    "Calibrate and check the camera over the pool, and track or print the robot's tag.",
+    {"calibrate": calibrate, "check": check, "track": track, "picture": picture, "tag": tag_page},
+)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import enum
+import inspect
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 from rich.console import Console
@@ -17,23 +18,12 @@ from typer.core import TyperGroup
 from frogkick.core.chunks import check_cluster
 from frogkick.core.errors import InputError
 
+PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
+PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
+Sampling = enum.StrEnum("Sampling", ["box", "visited", "planned"])
 
-class PlanWhere(enum.StrEnum):
-    """The place where decisions are made."""
-
-    onboard = "onboard"
-    host = "host"
-    both = "both"
-
-
-class PlannerName(enum.StrEnum):
-    """The planner whose weights and depth are used."""
-
-    robot = "robot"
-    paper = "paper"
-
-
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+# A type and a text are the option "--name" with that help, see ``with_options``.
+JsonOption = Annotated[bool, "Print one JSON object and nothing else."]
 SeedOption = Annotated[
     int,
     typer.Option("--seed", min=0, help="Seed of all random numbers; the same seed gives the same result."),
@@ -48,24 +38,17 @@ ClusterOption = Annotated[
 ]
 
 TablesOption = Annotated[
-    Path | None,
-    typer.Option(help="Table image (.fkt); default: one that is made from a small library on first use."),
+    Path | None, "Table image (.fkt); default: one that is made from a small library on first use."
 ]
 PlannerOption = Annotated[
     PlannerName,
-    typer.Option(
-        help="Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and "
-        "depth 1."
-    ),
+    "Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and depth 1.",
 ]
 DepthOption = Annotated[
     int | None, typer.Option(min=1, max=4, help="Search depth in strokes; default: the planner's own.")
 ]
 KeyOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
-    ),
+    Path | None, "Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
 ]
 TargetOption = Annotated[
     str, typer.Option("--robot", metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
@@ -81,10 +64,8 @@ ModelOption = Annotated[
 ]
 LawsOption = Annotated[
     bool,
-    typer.Option(
-        help="If the catalogue leaves more than noise, search formulas as well: springs, sloshing, "
-        "limbs that break or depend on the heading. With --no-laws the search ends with the catalogue."
-    ),
+    "If the catalogue leaves more than noise, search formulas as well: springs, sloshing, limbs that break "
+    "or depend on the heading. With --no-laws the search ends with the catalogue.",
 ]
 NominalOption = Annotated[
     str | None,
@@ -94,6 +75,9 @@ NominalOption = Annotated[
         help="Nominal robot, as TOML file or built-in name; default: the robot of the runs.",
     ),
 ]
+
+UnseenOption = Annotated[Sampling, "How the unseen states are drawn, as for 'library build'."]
+WorldOption = Annotated[Path | None, "TOML file of effects that act in the pool but are in no model."]
 
 stderr = Console(stderr=True)
 
@@ -107,6 +91,32 @@ class WholeLines(TyperGroup):
             formatter.write_dl(
                 [(name, each.get_short_help_str(limit=200)) for name, each in self.commands.items()]
             )
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose arguments of the type ``Annotated[type, "help"]`` are options with that help.
+
+    A switch that is off by default has no ``--no-name``.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    parameters = []
+    for parameter in signature.parameters.values():
+        annotation = parameter.annotation
+        text = next((each for each in get_args(annotation)[1:] if isinstance(each, str)), None)
+        if text is not None:
+            named = [f"--{parameter.name.replace('_', '-')}"] if parameter.default is False else []
+            annotation = Annotated[annotation.__origin__, typer.Option(*named, help=text)]
+        parameters.append(parameter.replace(annotation=annotation))
+    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def group(text: str, commands: Mapping[str, Callable[..., None]]) -> typer.Typer:
+    """Return a group of commands by their names; ``text`` is its help."""
+    made = typer.Typer(cls=WholeLines, help=text, no_args_is_help=True)
+    for name, command in commands.items():
+        made.command(name)(with_options(command))
+    return made
 
 
 def _plain(value: Any) -> Any:

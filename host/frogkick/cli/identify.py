@@ -1,4 +1,4 @@
-"""``frogkick identify``: the effects that the model lacks, identified from runs."""
+"""``frogkick identify``: what a robot's model lacks; ``retune``: new tables for a robot that has changed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,29 @@ import typer
 from typer.core import TyperCommand
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, LawsOption, NominalOption, say_left_out, show
+from frogkick.cli.common import (
+    JsonOption,
+    KeyOption,
+    LawsOption,
+    NominalOption,
+    SeedOption,
+    WorkersOption,
+    say,
+    say_left_out,
+    show,
+)
+from frogkick.cli.robots import text_of
+from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
     from frogkick.front.identifying import Horizon, Outcome
+    from frogkick.front.retuning import Retuning
+
+STATES = 800
+"""The value of frogkick.front.retuning, repeated so that a command's help does not load that module."""
+STATES_LEAST = 46
+"""The value of WHOLE_MIN of frogkick.library.fitting, repeated for the same reason."""
 
 
 def horizon_line(horizon: Horizon) -> str:
@@ -22,7 +40,7 @@ def horizon_line(horizon: Horizon) -> str:
     return f"{horizon.periods} periods ahead: {before} before, {after} after ({before.count} starts)"
 
 
-def _text(outcome: Outcome) -> str:
+def _identified(outcome: Outcome) -> str:
     from frogkick.report.law_words import sentence_of
 
     lines = [f"verdict: {outcome.verdict}" + (f" ({outcome.reason})" if outcome.reason else "")]
@@ -65,27 +83,20 @@ def _further_lines(outcome: Outcome) -> list[str]:
     return lines
 
 
-def command(
-    train: Annotated[list[Path], typer.Option(help="Runs to fit to: logs, or recorded runs (.csv).")],
-    test: Annotated[list[Path], typer.Option(help="Runs to predict; nothing is fitted to them.")],
-    out: Annotated[
-        Path, typer.Option(help="Robot TOML file to write: the nominal robot with the identified effects.")
-    ],
-    effects: Annotated[
-        Path | None, typer.Option(help="Python file with your own effects, which are tried as well.")
-    ] = None,
+def identify(
+    train: Annotated[list[Path], "Runs to fit to: logs, or recorded runs (.csv)."],
+    test: Annotated[list[Path], "Runs to predict; nothing is fitted to them."],
+    out: Annotated[Path, "Robot TOML file to write: the nominal robot with the identified effects."],
+    effects: Annotated[Path | None, "Python file with your own effects, which are tried as well."] = None,
     robot: NominalOption = None,
     predictions: Annotated[
-        Path | None,
-        typer.Option(help="CSV file to write, with the prediction of each period of the test runs."),
+        Path | None, "CSV file to write, with the prediction of each period of the test runs."
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="HTML report to write.")] = None,
+    report: Annotated[Path | None, "HTML report to write."] = None,
     measured: Annotated[
         bool,
-        typer.Option(
-            help="Start fits of many effects from built-in robots that were calibrated before. With "
-            "--no-measured the fits start from the same effects at nominal values."
-        ),
+        "Start fits of many effects from built-in robots that were calibrated before. With --no-measured "
+        "the fits start from the same effects at nominal values.",
     ] = True,
     laws: LawsOption = True,
     json: JsonOption = False,
@@ -102,7 +113,7 @@ def command(
         found.predictions(predictions)
     if report is not None:
         found.report(report)
-    show(found.as_json(), json, _text(found.outcome))
+    show(found.as_json(), json, _identified(found.outcome))
 
 
 class Command(TyperCommand):
@@ -124,3 +135,106 @@ def spread(args: list[str]) -> list[str]:
         flat += [argument] if first or not option else [option, argument]
         first = False
     return flat
+
+
+def retune(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="The robot's last runs: logs, or recorded runs (.csv). The last one judges the result."
+        ),
+    ],
+    robot: Annotated[
+        str,
+        typer.Option(
+            "--robot",
+            "--model",
+            help="Robot TOML file or built-in name that the robot's tables were made from.",
+        ),
+    ],
+    out: Annotated[Path, "New folder for the robot's TOML file, library, tables and firmware."],
+    tables: Annotated[
+        Path | None, "Table image that the robot carries (.fkt), to compare with; default: made from --robot."
+    ] = None,
+    states: Annotated[
+        int, typer.Option(min=STATES_LEAST, max=65535, help="Number of states of the simulated libraries.")
+    ] = STATES,
+    workers: WorkersOption = 0,
+    push: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TARGET",
+            help="Send the new tables, if they are better, to ble:NAME, serial:PORT or virtual. The robot "
+            "keeps the old ones.",
+        ),
+    ] = None,
+    key: KeyOption = None,
+    laws: LawsOption = True,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Make new tables for a worn robot.
+
+    The exit code is 1 if they are no better on held-out periods, or if the runs are too short.
+    """
+    from frogkick.front.retuning import TABLES, retune
+
+    made = retune(
+        runs,
+        robot=robot,
+        out=out,
+        table=tables,
+        states=states,
+        workers=workers,
+        push=push,
+        key=key,
+        seed=seed,
+        laws=laws,
+        left_out=say_left_out,
+        progress=True,
+    )
+    show(made.as_json(), json, printed(made, push))
+    if made.not_pushed is not None:
+        raise InputError(
+            f"the new tables are made but were not sent: {made.not_pushed}; then send them by 'frogkick push "
+            f"{out / TABLES} --robot {push}'"
+        ) from made.not_pushed
+    if made.reason and not made.done:
+        say(made.reason)
+    if not made.done:
+        raise typer.Exit(1)
+
+
+def printed(made: Retuning, push: str | None = None) -> str:
+    """Return the result as text for people; ``push`` is the robot that the tables were sent to."""
+    lines = [f"verdict: {made.outcome.verdict}", f"held out: {made.held_out}"]
+    for term, row in zip(made.outcome.terms, made.outcome.parameters, strict=True):
+        values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
+        lines.append(f"effect {term.title}: {values}")
+    for name, error in (("old", made.before), ("new", made.after)):
+        if error.count:
+            lines.append(f"{name} tables: {error} RMS one period ahead ({error.count} periods)")
+    if made.loop is not None:
+        for name, tracked in zip(("old", "new"), made.loop, strict=True):
+            lines.append(
+                f"{name} tables in closed loop, in a simulated pool with the identified effects: "
+                f"{1e3 * tracked.mean_distance_m:.1f} mm from the path, "
+                f"{1e3 * tracked.progress_mps:.1f} mm/s along it, "
+                f"{tracked.completed} of {tracked.runs} runs completed"
+            )
+    if made.lost is not None:
+        lines.append(f"no table can hold: {', '.join(made.lost.effects)}")
+        apart = (1e3 * each.mean_distance_m for each in (made.lost.with_them, made.lost.without))
+        lines.append(
+            "the robot's tables in closed loop: {:.1f} mm from the path with that in the pool, {:.1f} mm "
+            "without it".format(*apart)
+        )
+    lines += [f"tables, {horizon_line(each)}" for each in made.horizons if each.periods > 1]
+    if made.done and made.reason:
+        lines.append(made.reason)
+    if made.better and made.tables is not None:
+        lines.append(f"new tables: {made.tables['file']}, firmware: {made.out / 'firmware'}")
+        lines.append(f"old tables, to return to: {made.out / 'before.fkt'}")
+    if push is not None and made.pushed is not None:
+        lines.append(text_of(made.pushed, push))
+    return "\n".join(lines)

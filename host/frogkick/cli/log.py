@@ -1,4 +1,4 @@
-"""``frogkick log``: show and compare runs; ``export`` and ``import``: for and from other programs."""
+"""``frogkick log``: runs and a robot's own log, shown and compared; ``export``, ``import`` and ``replay``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,19 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, say, short, show, text_lines
+from frogkick.cli.common import (
+    DepthOption,
+    JsonOption,
+    ModelOption,
+    PlannerName,
+    PlanWhere,
+    TablesOption,
+    TargetOption,
+    say,
+    short,
+    show,
+    text_lines,
+)
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar
@@ -21,13 +33,11 @@ RunArgument = Annotated[
 ]
 
 
-def show_(
+def show_run(
     run: RunArgument,
-    out: Annotated[
-        Path | None, typer.Option(help="Picture (.png) or animation (.gif, .mp4) to write.")
-    ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Play the run in the browser.")] = False,
-    speed: Annotated[float, typer.Option(help="Speed of --view; 2 is twice real time.")] = 1.0,
+    out: Annotated[Path | None, "Picture (.png) or animation (.gif, .mp4) to write."] = None,
+    view: Annotated[bool, "Play the run in the browser."] = False,
+    speed: Annotated[float, "Speed of --view; 2 is twice real time."] = 1.0,
     json: JsonOption = False,
 ) -> None:
     """Show a run in numbers and in one picture: track, distance, actions and prediction errors."""
@@ -56,7 +66,7 @@ def show_(
 def compare(
     a: RunArgument,
     b: RunArgument,
-    out: Annotated[Path | None, typer.Option(help="Picture (.png) to write.")] = None,
+    out: Annotated[Path | None, "Picture (.png) to write."] = None,
     json: JsonOption = False,
 ) -> None:
     """Compare two runs: their distances to the path, their first different decision, and their separation."""
@@ -82,11 +92,9 @@ def compare(
 
 def export(
     run: RunArgument,
-    out: Annotated[Path, typer.Option(help="File to write (.mcap), or folder for CSV.")],
-    csv: Annotated[bool, typer.Option("--csv", help="Write one CSV file for each group of columns.")] = False,
-    mcap: Annotated[
-        bool, typer.Option("--mcap", help="Write one MCAP file for Foxglove, and a layout.")
-    ] = False,
+    out: Annotated[Path, "File to write (.mcap), or folder for CSV."],
+    csv: Annotated[bool, "Write one CSV file for each group of columns."] = False,
+    mcap: Annotated[bool, "Write one MCAP file for Foxglove, and a layout."] = False,
     json: JsonOption = False,
 ) -> None:
     """Export a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
@@ -127,7 +135,7 @@ def import_(
         Path,
         typer.Argument(help="Folder of recorded runs and their paths, such as line1.csv and linep1.csv."),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the logs.")],
+    out: Annotated[Path, "Folder for the logs."],
     json: JsonOption = False,
 ) -> None:
     """Read recorded runs, repair or mark their faults, and write logs. No data is invented."""
@@ -141,3 +149,72 @@ def import_(
         for note in row.get("clock_notes", ()):
             say(f"{row['run']}: {note}")
     show({"runs": runs, "out": str(out)}, json, "\n".join(lines))
+
+
+def replay(
+    run: RunArgument,
+    plan: Annotated[
+        PlanWhere, "Who decides: the virtual chip, its twin on the host, or both."
+    ] = PlanWhere.both,
+    tables: TablesOption = None,
+    planner: Annotated[
+        PlannerName | None,
+        "Planner whose weights and depth are used; default: the run's own if its log has them, else paper.",
+    ] = None,
+    depth: DepthOption = None,
+    robot: Annotated[str, "virtual: the chip; pool: the C core on this computer."] = "virtual",
+    model: Annotated[str | None, "Robot TOML file or built-in name; default: the run's robot."] = None,
+    json: JsonOption = False,
+) -> None:
+    """Give a run's fixes to the planner again and compare every decision.
+
+    The exit code is 1 if a decision differs.
+    """
+    from frogkick.front.replaying import replay as replay_run
+
+    replayed = replay_run(
+        run,
+        plan=plan.value,
+        table=tables,
+        planner=planner and planner.value,
+        depth=depth,
+        robot=robot,
+        model=model,
+        progress=True,
+    )
+    show(replayed.as_json(), json)
+    if replayed.mismatches:
+        raise typer.Exit(1)
+
+
+def fetch(
+    robot: TargetOption,
+    out: Annotated[Path, "Log file to write (.h5)."],
+    json: JsonOption = False,
+) -> None:
+    """Fetch the log that a robot keeps in its RAM.
+
+    It can be fetched during a run, after it, and after a reset of the robot. Fetching changes nothing on the
+    robot.
+    """
+    from frogkick.front.replaying import fetch_log
+
+    show({**fetch_log(robot, out, progress=True).summary(), "out": str(out)}, json)
+
+
+def replay_fetched(
+    file: Annotated[Path, typer.Argument(help="Log file that 'log fetch' wrote.")],
+    tables: TablesOption = None,
+    model: ModelOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Repeat the decisions of a robot's log by the C core and by the Python twin, bit by bit.
+
+    The exit code is 1 if a decision differs.
+    """
+    from frogkick.front.replaying import replay_log
+
+    found = replay_log(file, tables=tables, model=model, progress=True)
+    show(found.as_json(), json)
+    if found.result.mismatches:
+        raise typer.Exit(1)

@@ -23,122 +23,82 @@ from frogkick.cli.common import (
 )
 from frogkick.cli.keys import keys_of
 
-WorldOption = Annotated[
-    Path | None, typer.Option(help="TOML file of effects that act in the pool but are in no model.")
-]
+WorldOption = Annotated[Path | None, "TOML file of effects that act in the pool but are in no model."]
 
 
 def run(
     robot: Annotated[
         str,
-        typer.Option(
-            help="virtual: firmware on the virtual chip; pool: C core on this computer; ble:NAME or "
-            "serial:PORT: a real robot."
-        ),
+        "virtual: firmware on the virtual chip; pool: C core on this computer; ble:NAME or serial:PORT: a "
+        "real robot.",
     ] = "virtual",
     plan: Annotated[
-        PlanWhere,
-        typer.Option(
-            help="Who decides: the robot (onboard), the host, or the robot while the host checks it (both)."
-        ),
+        PlanWhere, "Who decides: the robot (onboard), the host, or the robot while the host checks it (both)."
     ] = PlanWhere.onboard,
     path: Annotated[
         str,
-        typer.Option(
-            help="line, sine, ellipse, circle, bends, eight, or a CSV file with the columns x, y in m (and "
-            "dx, dy or tangent_rad), 100 points (more are resampled) and at most 50 m of length."
-        ),
+        "line, sine, ellipse, circle, bends, eight, or a CSV file with the columns x, y in m (and dx, dy or "
+        "tangent_rad), 100 points (more are resampled) and at most 50 m of length.",
     ] = "line",
     then: Annotated[
         list[str] | None,
-        typer.Option(
-            help="A path that takes over without a stop: PATH@SECONDS, seconds after the first decision. The "
-            "robot goes on where it is nearest to it. With @here behind it the path begins where the robot "
-            "is. May be given several times."
-        ),
+        "A path that takes over without a stop: PATH@SECONDS, seconds after the first decision. The robot "
+        "goes on where it is nearest to it. With @here behind it the path begins where the robot is. May be "
+        "given several times.",
     ] = None,
     hold: Annotated[
         bool,
-        typer.Option(
-            "--hold",
-            help="At the path's end circle it, within 100 mm if the robot turns tightly enough, until a path "
-            "of --then takes over, --simulated-time is over, or the run is stopped.",
-        ),
+        "At the path's end circle it, within 100 mm if the robot turns tightly enough, until a path of "
+        "--then takes over, --simulated-time is over, or the run is stopped.",
     ] = False,
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
     learn: Annotated[
         bool,
-        typer.Option(
-            "--learn",
-            help="Learn while swimming what each limb has lost, and plan with it. A robot goes on from what "
-            "it knows; a run without --learn makes it forget.",
-        ),
+        "Learn while swimming what each limb has lost, and plan with it. A robot goes on from what it "
+        "knows; a run without --learn makes it forget.",
     ] = False,
     inside: Annotated[
         str | None,
-        typer.Option(
-            help="Walls to keep away from: X,Y,X,Y in m of two opposite corners of the pool, or pool: those "
-            "of the calibration that --fixes gives."
-        ),
+        "Walls to keep away from: X,Y,X,Y in m of two opposite corners of the pool, or pool: those of the "
+        "calibration that --fixes gives.",
     ] = None,
     tables: TablesOption = None,
-    model: Annotated[
-        str | None, typer.Option(help="Robot TOML file or built-in name; default: the table's robot.")
-    ] = None,
+    model: Annotated[str | None, "Robot TOML file or built-in name; default: the table's robot."] = None,
     simulated_time: Annotated[
-        float, typer.Option(help="Time limit of the run in pool time, s; for a real robot in real time.")
+        float, "Time limit of the run in pool time, s; for a real robot in real time."
     ] = 120.0,
-    fix_rate: Annotated[
-        float, typer.Option(help="Position fixes per second of the simulated camera.")
-    ] = 15.0,
+    fix_rate: Annotated[float, "Position fixes per second of the simulated camera."] = 15.0,
     fixes: Annotated[
         str | None,
-        typer.Option(
-            help="Source of a real robot's fixes. camera.toml of 'camera calibrate'; stdin: a tracker's "
-            "lines 'x_m y_m heading_rad [age_s]'; pool: simulated, for a kit without limbs."
-        ),
+        "Source of a real robot's fixes. camera.toml of 'camera calibrate'; stdin: a tracker's lines 'x_m "
+        "y_m heading_rad [age_s]'; pool: simulated, for a kit without limbs.",
     ] = None,
     source: Annotated[
         str,
-        typer.Option(
-            help="Camera of --fixes camera.toml: a number, a network camera's address (http:, rtsp:), a "
-            "video or a folder of pictures."
-        ),
+        "Camera of --fixes camera.toml: a number, a network camera's address (http:, rtsp:), a video or a "
+        "folder of pictures.",
     ] = "0",
-    begin: Annotated[
-        str | None, typer.Option(help="Where a real robot's path begins: X,Y,DEG (m, degrees), or 'here'.")
-    ] = None,
+    begin: Annotated[str | None, "Where a real robot's path begins: X,Y,DEG (m, degrees), or 'here'."] = None,
     dialect: Annotated[
-        str,
-        typer.Option(
-            help="Protocol of a real robot: frogkick, or frog2022 (the text of the authors' firmware)."
-        ),
+        str, "Protocol of a real robot: frogkick, or frog2022 (the text of the authors' firmware)."
     ] = "frogkick",
     world: WorldOption = None,
     seed: SeedOption = 0,
-    out: Annotated[Path | None, typer.Option(help="Log file to write (HDF5).")] = None,
+    out: Annotated[Path | None, "Log file to write (HDF5)."] = None,
     view: Annotated[
         bool,
-        typer.Option(
-            "--view",
-            help="Draw the run in the browser, over the camera's picture if there is one. A simulated run is "
-            "drawn in real time.",
-        ),
+        "Draw the run in the browser, over the camera's picture if there is one. A simulated run is drawn "
+        "in real time.",
     ] = False,
-    video: Annotated[
-        bool,
-        typer.Option("--video", help="Record the camera's pictures beside --out, as .avi and .frames.csv."),
-    ] = False,
+    video: Annotated[bool, "Record the camera's pictures beside --out, as .avi and .frames.csv."] = False,
     battery_v: Annotated[
         float | None,
-        typer.Option(
-            help="Voltage of a real robot's lowest battery, measured at rest with a meter. A voltage that is "
-            "too low is refused."
-        ),
+        "Voltage of a real robot's lowest battery, measured at rest with a meter. A voltage that is too low "
+        "is refused.",
     ] = None,
     key: KeyOption = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Arm a real robot without asking for Enter.")] = False,
+    yes: Annotated[bool, "Arm a real robot without asking for Enter."] = False,
     json: JsonOption = False,
 ) -> None:
     """Follow a path in closed loop: position fixes come in, and strokes go out.

@@ -24,10 +24,10 @@ from frogkick.cli.common import (
     RobotFileOption,
     SeedOption,
     TablesOption,
+    UnseenOption,
     WorkersOption,
     show,
 )
-from frogkick.cli.library import Sampling
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.report.style import write_picture
@@ -41,9 +41,7 @@ SHARED: dict[tuple[str, str], Any] = {
     ("planner", "str"): PlannerOption,
     ("tables", "Path | None"): TablesOption,
     ("workers", "int"): WorkersOption,
-    ("swims", "str"): Annotated[
-        Sampling, typer.Option(help="How the unseen states are drawn, as for 'library build'.")
-    ],
+    ("swims", "str"): UnseenOption,
 }
 """The shared options, by the name and type of a configuration's field."""
 
@@ -78,7 +76,6 @@ def command(name: str) -> Callable[..., None]:
         _run(name, config(**given), as_json)
 
     run.__doc__ = config.__doc__
-    run.__annotations__ = options
     run.__signature__ = Signature(  # type: ignore[attr-defined]
         [
             Parameter(each, Parameter.KEYWORD_ONLY, default=defaults.get(each, False), annotation=option)

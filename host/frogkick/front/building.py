@@ -42,7 +42,7 @@ def build_firmware(
         InputError: an unknown target, invalid limits of the guard, or an image that does not fit.
         ToolchainError: no compiler here; the text says what to install.
     """
-    table = table if isinstance(table, Table) else load_table(table)
+    table = load_table(table)
     place = Path(tempfile.mkdtemp(prefix="frogkick-firmware-")) if out is None else Path(out)
     with table.file() as image:
         made = build(target, image, table.robot, place)
@@ -154,7 +154,7 @@ def try_firmware(
     require_tools("bench")
     from frogkick.runs.chip_check import check_on_chip  # it cannot be loaded without the extra
 
-    used = table if isinstance(table, Table) else load_table(table, robot)
+    used = load_table(table, robot)
     with ExitStack() as stack:
         image = stack.enter_context(used.file())
         built = stack.enter_context(built_firmware("bench", image, used.robot))
@@ -202,7 +202,7 @@ def flash_firmware(
         require_tools("bench")
     with ExitStack() as stack:
         if image is None:
-            used = table if isinstance(table, Table) else load_table(table, robot)
+            used = load_table(table, robot)
             file = stack.enter_context(used.file())
             image = stack.enter_context(built_firmware("bench", file, used.robot)).files["hex"]
         length = check_image(existing_file(image, "image"))

@@ -111,7 +111,7 @@ def compare_places(
         ToolchainError: no compiler here; the text says what to install.
     """
     require_tools("bench")
-    used = table if isinstance(table, Table) else load_table(table, robot)
+    used = load_table(table, robot)
     config = plan_config(used.robot, planner, depth)
     compilers = {"native": zig("host"), **({"gcc": gcc} if (gcc := other("gcc")) else {})}
     on_chip = states if chip_states is None else min(chip_states, states)

@@ -13,76 +13,20 @@ import numpy as np
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
-from frogkick.front.default_tables import default_tables
 from frogkick.link.wire import FORMS, RobotPort
 from frogkick.paths import OTHER_SHAPES, SHAPES, from_csv, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.robot import Robot, built_in_robots, load_robot
+from frogkick.robot import Robot
 from frogkick.runs.record import config_of_log
 from frogkick.runs.runlog import RunLog
-from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import Firmware, build, require_tools
 
-DEFAULT_ROBOT = "frog2022"
 SIMULATED = {"virtual": "bench", "pool": "native"}
 """Simulated robot -> target of the firmware that it runs."""
 PLANS = ("onboard", "host", "both")
 """Who decides."""
-
-
-def table_image(tables: Path | None, robot: str | None) -> Path:
-    """Return the given table image, or a robot's default one.
-
-    Raises:
-        InputError: an unknown robot.
-    """
-    return default_tables(robot or DEFAULT_ROBOT) if tables is None else tables
-
-
-def robot_of_table(tables: Path, robot: str | None) -> Robot:
-    """Return the robot by name or file; by default the table's: built-in, or ID.toml beside the table.
-
-    Raises:
-        InputError: an unknown robot, or a table for another robot or another version of it.
-    """
-    return robot_of_image(read_image(tables), robot, tables)
-
-
-def robot_of_image(tables: Tables, robot: Robot | str | None, file: Path) -> Robot:
-    """Return the same for an image that was read from ``file``."""
-    name, beside = file.name, file.parent / f"{tables.robot_id}.toml"
-    built_in = tables.robot_id in built_in_robots()
-    if robot is None and not built_in and beside.is_file():
-        robot = str(beside)
-    if robot is None and not built_in:
-        raise InputError(
-            f"table {name!r} is for robot {tables.robot_id!r}, which is not built in: give its TOML file "
-            f"with --model, or put it beside the table as {tables.robot_id}.toml"
-        )
-    described = load_robot(tables.robot_id if robot is None else robot)
-    tables.require_robot(described.id)
-    if not strokes_alike(tables, described):
-        raise InputError(
-            f"table {name!r} has other limbs or actions than robot {described.id!r}: "
-            "build the library and the table again from this robot"
-        )
-    return described
-
-
-def strokes_alike(tables: Tables, robot: Robot) -> bool:
-    """Return whether a table has the robot's limbs and actions."""
-    rows = [(row.name, row.first_mask, row.second_mask) for row in tables.actions]
-    return tables.limbs == len(robot.limbs) and rows == [
-        (code, action.first_mask, action.second_mask)
-        for code, action in zip(robot.action_codes, robot.actions, strict=True)
-    ]
-
-
-def called_by(robot: Robot, tables: Tables) -> Tables:
-    """Return a robot's table with the action names of the robot's file."""
-    return tables.called([action.name for action in robot.actions])
 
 
 def require_simulated(name: str) -> None:
@@ -215,17 +159,3 @@ def swim_path(name: SwimPath | Path | str) -> SwimPath:
 def start_pose(path: SwimPath) -> tuple[float, float, float]:
     """Return the pose at the path's first point, along its tangent."""
     return float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])
-
-
-def require_period(tables: Tables, run: RunLog) -> None:
-    """Refuse a table whose period differs from the run's by more than a tenth.
-
-    Raises:
-        InputError: the periods differ.
-    """
-    period_s = tables.period_us * 1e-6
-    if abs(period_s / run.period_s - 1.0) > 0.1:
-        raise InputError(
-            f"run {run.source!r} has a period of {run.period_s:.3f} s, but the table has {period_s:.3f} s: "
-            "build a library and a table with the run's period"
-        )

@@ -59,7 +59,7 @@ class Planner:
         Raises:
             InputError: the depth is not 1 to 4.
         """
-        self.table = table if isinstance(table, Table) else load_table(table)
+        self.table = load_table(table)
         self.config = plan_config(self.table.robot, planner, depth)
 
     def plan(

@@ -11,22 +11,17 @@ from typing import Any
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown
-from frogkick.front.default_tables import default_tables
 from frogkick.front.places import (
     built_firmware,
-    called_by,
     plan_config,
-    require_period,
     require_plan,
     require_simulated,
     require_simulator,
-    robot_of_table,
     simulated_robot,
-    table_image,
 )
 from frogkick.front.robots import require_target, session_at
 from frogkick.front.running import Run, run_of
-from frogkick.front.tables import Table, load_table
+from frogkick.front.tables import Table, default_tables, load_table, table_image
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.pool.native_robot import kept_wear
 from frogkick.robot import Robot, in_a_row
@@ -37,7 +32,7 @@ from frogkick.runs.record import lost_at_start
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run
 from frogkick.runs.session import Session
-from frogkick.tables.image import Tables, read_image
+from frogkick.tables.image import Tables
 from frogkick_codegen.firmware import require_tools
 
 __all__ = ["FetchedLog", "LogReplayed", "Replayed", "fetch_from", "fetch_log", "replay", "replay_log"]
@@ -115,18 +110,20 @@ def replay(
     recorded = run_of(run)
     require_replayable(recorded)
     require_plan(plan)
-    if isinstance(table, Table):
-        used = table
-    else:
-        file = default_tables(recorded.robot_id) if table is None else table
-        used = load_table(file, recorded.robot_id if model is None else model)
+    file = default_tables(recorded.robot_id) if table is None else table
+    used = load_table(file, recorded.robot_id if model is None else model)
     described = used.robot
     if recorded.robot_id != described.id:
         raise InputError(
             f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {described.id!r}: give "
             "its robot with --model"
         )
-    require_period(used.tables, recorded)
+    period_s = used.tables.period_us * 1e-6
+    if abs(period_s / recorded.period_s - 1.0) > 0.1:
+        raise InputError(
+            f"run {recorded.source!r} has a period of {recorded.period_s:.3f} s, but the table has "
+            f"{period_s:.3f} s: build a library and a table with the run's period"
+        )
     config = plan_config(described, planner, depth, recorded)
     with ExitStack() as stack:
         port = None
@@ -241,19 +238,22 @@ def replay_log(
     fetched = log if isinstance(log, FetchedLog) else read_log(log)
     name = "the log" if isinstance(log, FetchedLog) else repr(Path(log).name)
     require_tools("native")
-    image = table_image(tables, fetched.robot_id if model is None else model)
-    opened = read_image(image)
-    described = robot_of_table(image, model)
+    used = load_table(table_image(tables, fetched.robot_id if model is None else model), model)
+    opened, described = used.tables, used.robot
     if described.id != fetched.robot_id:
         raise InputError(
             f"the log is of robot {fetched.robot_id!r}, not {described.id!r}: give its own table "
             "with --tables"
         )
-    with built_firmware("native", image, described) as built, shown(progress, "records") as tell:
+    with (
+        used.file() as image,
+        built_firmware("native", image, described) as built,
+        shown(progress, "records") as tell,
+    ):
         found = replay_records(fetched.log, built.image, [opened], tell)
     if not found.segments and not found.mismatches:
         raise InputError(
             f"no decision in {name} can be repeated with table {opened.crc32:08x}, because the robot used "
             f"{fetched.table_crc:08x}: give its table with --tables, or fetch after an ARM"
         )
-    return LogReplayed(found, called_by(described, opened))
+    return LogReplayed(found, opened)

@@ -167,7 +167,7 @@ def _carried(table: Table | Path | str, robot: Robot) -> bytes:
     Raises:
         InputError: the image is for another robot or another period.
     """
-    used = table if isinstance(table, Table) else load_table(table, robot)
+    used = load_table(table, robot)
     opened = used.tables
     opened.require_robot(robot.id)
     if opened.period_us != round(robot.period_s * 1e6):

@@ -10,9 +10,9 @@ from typing import Any
 
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.core.progress import Progress, shown
-from frogkick.front.places import robot_of_table, simulated_robot
+from frogkick.front.places import simulated_robot
 from frogkick.front.running import Run, run
-from frogkick.front.tables import Table
+from frogkick.front.tables import Table, robot_of_table
 from frogkick.link.auth import default_key_file, read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.layout import link_layout

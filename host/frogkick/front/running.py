@@ -328,7 +328,7 @@ def run(
     require_time(time_limit_s)
     require_seed(seed)
     true = World() if world is None else copy.deepcopy(read_world(world))  # an effect may keep state
-    used = table if isinstance(table, Table) else load_table(table, model)
+    used = load_table(table, model)
     described = used.robot
     check = LiveCheck() if plan == "both" else None
     stopped = threading.Event()  # by the button of the page

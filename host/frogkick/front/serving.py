@@ -191,7 +191,7 @@ def served_pool(
     first = (0.3 * length_m, 0.5 * width_m, 0.0)
     if begin is not None:
         first = _pose_in(scene.pool_m, begin, "--begin")
-    used = table if isinstance(table, Table) else load_table(table, model)
+    used = load_table(table, model)
     described, limbs = used.robot, len(used.robot.limbs)
     rng = np.random.default_rng(seed)
     with ExitStack() as stack:

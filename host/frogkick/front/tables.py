@@ -1,7 +1,12 @@
-"""Libraries and tables in memory, each with its robot."""
+"""Libraries and tables in memory, each with its robot; the default table of a robot is kept in the cache.
+
+What does not fit raises an ``InputError``: an unknown robot or file, a value out of range, a table for
+another robot. A file that is not a valid table image raises a ``TableError``.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from collections.abc import Iterator
@@ -14,18 +19,18 @@ import numpy as np
 
 from frogkick import library as libraries
 from frogkick.core.errors import InputError
-from frogkick.core.files import write_bytes
-from frogkick.core.progress import Progress, shown, tell_line
-from frogkick.front.default_tables import default_tables
+from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
+from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.front.html import page_of
-from frogkick.front.places import DEFAULT_ROBOT, called_by, robot_of_image
 from frogkick.library import RECORD_S, Library, library_info
-from frogkick.robot import Robot, load_robot
+from frogkick.library.default import SAMPLING, SEED, STATES
+from frogkick.robot import Robot, built_in_robots, load_robot
 from frogkick.tables.image import Tables, open_image, read_image
 
 __all__ = ["RECORD_S", "Table", "build_library", "fit_table", "library_info", "load_library", "load_table"]
 
 KIB = 1024
+DEFAULT_ROBOT = "frog2022"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,11 +89,7 @@ class Table:
             return libraries.table_error(self.tables, self.robot, states, seed, sampling, tell)
 
     def save(self, file: Path | str) -> None:
-        """Write the image (.fkt).
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write the image (.fkt)."""
         write_bytes(file, self.image)
 
     @contextmanager
@@ -110,7 +111,7 @@ class Table:
 
 
 def facts_of(tables: Tables) -> dict[str, Any]:
-    """Return the facts of an image."""
+    """Return the facts of an image, whose robot need not be known."""
     return {
         "bytes": len(tables.image),
         "states": len(tables.states),
@@ -127,33 +128,109 @@ def facts_of(tables: Tables) -> dict[str, Any]:
 
 
 def read_facts(file: Path | str) -> dict[str, Any]:
-    """Return the facts of the image in a file, for any robot.
-
-    Raises:
-        InputError: the file does not exist.
-        TableError: the file is not a valid table image.
-    """
+    """Return the facts of the image in a file."""
     return facts_of(read_image(file))
 
 
-def load_table(file: Path | str | None = None, robot: Robot | str | None = None) -> Table:
+def default_tables(robot: Robot | str, states: int | None = None, sampling: str = SAMPLING) -> Path:
+    """Return the path of a robot's table image, which is built on first use (about a minute).
+
+    Args:
+        robot: the robot, its TOML file or its built-in name.
+        states: number of states of its library; None = ``STATES``.
+        sampling: how these are drawn; see ``build_library``.
+    """
+    robot = load_robot(robot)
+    states = STATES if states is None else states
+    made_of = f"{_source_sha256()} {states} {SEED} {sampling}".encode()
+    key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]
+    target = cache_folder("tables") / f"{robot.id}-{key}.fkt"
+    if _is_valid(target):
+        return target
+    with one_at_a_time(cache_folder("building"), key) as work:
+        if not _is_valid(target):  # otherwise another process has built it meanwhile
+            file = work / "library.h5"
+            title = f"library for {robot.id}"
+            image = libraries.default_table(robot, file, progress_bar, title, states, SEED, sampling)
+            write_bytes(target, image)
+            file.unlink()
+    return target
+
+
+def _source_sha256() -> str:
+    """Return the hash of the simulating and quantising code, so that new physics gives a new table."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parents[1]
+    for folder in ("robot", "der", "library", "tables", "planner"):
+        for file in sorted((package / folder).glob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _is_valid(target: Path) -> bool:
+    """Return whether a valid table exists; a damaged one is made again without an error."""
+    try:
+        read_image(target)
+    except InputError:
+        return False
+    return True
+
+
+def table_image(file: Path | str | None, robot: Robot | str | None) -> Path:
+    """Return the given table image, or the default one of a robot."""
+    return default_tables(robot or DEFAULT_ROBOT) if file is None else Path(file)
+
+
+def robot_of_table(file: Path, robot: Robot | str | None = None, opened: Tables | None = None) -> Robot:
+    """Return a table's robot: the given one, if it fits, else a built-in one, or ID.toml beside the file.
+
+    Args:
+        file: the table image.
+        robot: the robot, its name or its TOML file; None: the one that the image names.
+        opened: the image, if it has been read.
+    """
+    tables = opened or read_image(file)
+    if robot is None and tables.robot_id not in built_in_robots():
+        beside = file.parent / f"{tables.robot_id}.toml"
+        if not beside.is_file():
+            raise InputError(
+                f"table {file.name!r} is for robot {tables.robot_id!r}, which is not built in: give its TOML "
+                f"file with --model, or put it beside the table as {tables.robot_id}.toml"
+            )
+        robot = str(beside)
+    described = load_robot(tables.robot_id if robot is None else robot)
+    tables.require_robot(described.id)
+    rows = [(row.name, row.first_mask, row.second_mask) for row in tables.actions]
+    if tables.limbs != len(described.limbs) or rows != [
+        (code, action.first_mask, action.second_mask)
+        for code, action in zip(described.action_codes, described.actions, strict=True)
+    ]:
+        raise InputError(
+            f"table {file.name!r} has other limbs or actions than robot {described.id!r}: "
+            "build the library and the table again from this robot"
+        )
+    return described
+
+
+def load_table(file: Table | Path | str | None = None, robot: Robot | str | None = None) -> Table:
     """Read a table image (.fkt) and check every part of it.
 
     Args:
         file: the image; None: the robot's default table, which is made on first use and kept in the user's
-            cache (about a minute, with a bar on stderr).
+            cache (about a minute, with a bar on stderr). A table in memory is returned as it is.
         robot: the robot, its name or its TOML file; None: the robot that the image names, built-in or ID.toml
             beside the file.
-
-    Raises:
-        InputError: an unknown file or robot, or a table for another robot or another version of it.
-        TableError: the file is not a valid table image.
     """
-    if file is None:
-        file = default_tables(robot or DEFAULT_ROBOT)
-    tables = read_image(file)
-    described = robot_of_image(tables, robot, Path(file))
-    return Table(called_by(described, tables), described, Path(file).name)
+    if isinstance(file, Table):
+        return file
+    image = table_image(file, robot)
+    tables = read_image(image)
+    return _called(tables, robot_of_table(image, robot, tables), image.name)
+
+
+def _called(tables: Tables, robot: Robot, name: str = Table.name) -> Table:
+    """Return a table whose actions have the names of the robot's file."""
+    return Table(tables.called([action.name for action in robot.actions]), robot, name)
 
 
 def build_library(
@@ -221,11 +298,7 @@ def _reports_finished_parts(out: Path) -> Iterator[None]:
 
 
 def load_library(file: Path | str) -> Library:
-    """Read a library (HDF5) that ``Library.save`` or ``frogkick library build`` wrote.
-
-    Raises:
-        InputError: the file is missing, incomplete, or not a library.
-    """
+    """Read a library (HDF5) that ``Library.save`` or ``frogkick library build`` wrote."""
     return libraries.read_library(file)
 
 
@@ -258,5 +331,4 @@ def fit_table(
     budget = None if budget_kib is None else int(budget_kib * KIB)
     with shown(progress, "tables tried") as tell:
         image = libraries.fit_table(library, kind, budget, tell).image
-    robot = library.robot()
-    return Table(called_by(robot, open_image(image)), robot)
+    return _called(open_image(image), library.robot())

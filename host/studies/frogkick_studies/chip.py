@@ -18,7 +18,8 @@ import numpy as np
 from frogkick.core.arrays import Float64, Int64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.progress import shown
-from frogkick.front.places import built_firmware, plan_config, robot_of_table, table_image
+from frogkick.front.places import built_firmware, plan_config
+from frogkick.front.tables import robot_of_table, table_image
 from frogkick.paths import SHAPES, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig

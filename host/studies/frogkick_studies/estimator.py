@@ -16,7 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullLocator
 
 from frogkick.core.progress import shown
-from frogkick.front.places import plan_config, robot_of_table, swim_path, table_image
+from frogkick.front.places import plan_config, swim_path
+from frogkick.front.tables import robot_of_table, table_image
 from frogkick.report import style
 from frogkick.runs.closed_loop import require_time
 from frogkick_studies import Found

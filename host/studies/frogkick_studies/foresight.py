@@ -22,7 +22,8 @@ from frogkick.core.compiled import kept, stamp_of
 from frogkick.core.errors import InputError
 from frogkick.core.poses import world_from_body
 from frogkick.core.progress import shown
-from frogkick.front.places import start_pose, swim_path, table_image
+from frogkick.front.places import start_pose, swim_path
+from frogkick.front.tables import table_image
 from frogkick.paths import Path
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
 from frogkick.report import style

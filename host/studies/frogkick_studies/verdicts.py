@@ -26,7 +26,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
-from frogkick.front.places import robot_of_table, table_image
+from frogkick.front.tables import robot_of_table, table_image
 from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.fit import rollouts_of
 from frogkick.identification.outcome import identify

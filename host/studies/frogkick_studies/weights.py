@@ -20,7 +20,8 @@ from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.progress import shown
 from frogkick.core.weights import WEIGHTS
-from frogkick.front.places import plan_config, robot_of_table, start_pose, table_image
+from frogkick.front.places import plan_config, start_pose
+from frogkick.front.tables import robot_of_table, table_image
 from frogkick.paths import Path, from_waypoints, shape
 from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.tables.image import Tables, read_image

@@ -1,0 +1,354 @@
+"""What a robot carries: ``simulate``, ``library``, ``tables``, ``codegen`` and ``firmware`` make it."""
+
+from __future__ import annotations
+
+import enum
+import io
+import math
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import frogkick as fk
+from frogkick.cli.common import (
+    ClusterOption,
+    JsonOption,
+    ModelOption,
+    RobotArgument,
+    Sampling,
+    SeedOption,
+    TablesOption,
+    UnseenOption,
+    WorkersOption,
+    group,
+    local_processes,
+    say,
+    show,
+)
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable, write_text
+from frogkick.core.progress import progress_bar
+
+LibraryArgument = Annotated[Path, typer.Argument(help="HDF5 file that 'library build' wrote.")]
+TableArgument = Annotated[Path, typer.Argument(help="Table image (.fkt).")]
+
+RECORD_S = 5.0
+"""The value of frogkick.library, repeated so that a command's help does not load that package."""
+
+Kind = enum.StrEnum("Kind", ["nearest", "affine"])
+Target = enum.StrEnum("Target", ["bench", "native"])
+
+
+def _velocity(text: str) -> tuple[float, float, float]:
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise InputError(
+            f"--initial-velocity is {text!r}: give VX,VY,OMEGA (forward m/s, left m/s, rad/s), e.g. 0.02,0,0"
+        )
+    return values[0], values[1], values[2]
+
+
+def _write_csv(target: Path, swum: fk.Trajectory) -> None:
+    import numpy as np
+
+    buffer = io.StringIO()
+    columns = np.column_stack([swum.time_s, swum.pose_world])
+    np.savetxt(buffer, columns, fmt="%.9g", delimiter=",", header="time_s,x_m,y_m,heading_rad", comments="")
+    write_text(target, buffer.getvalue())
+
+
+def simulate(
+    robot: RobotArgument = "frog2022",
+    egain_percent: Annotated[float | None, "EGaIn fraction of the limbs in a gait, %."] = None,
+    frequency_hz: Annotated[float | None, "Strokes per second of a gait."] = None,
+    phase: Annotated[float, "Lag of the rear limbs as a fraction of the period, 0 to 1."] = 0.5,
+    cycles: Annotated[int, typer.Option(min=1, max=200, help="Number of cycles of the gait.")] = 8,
+    actions: Annotated[
+        str | None, "Names of the actions in their order, such as B,B,C or kick,glide."
+    ] = None,
+    initial_velocity: Annotated[str, "VX,VY,OMEGA: forward, left m/s, rad/s."] = "0,0,0",
+    out: Annotated[Path | None, "CSV file to write, with time_s, x_m, y_m, heading_rad."] = None,
+    animation: Annotated[Path | None, "Animation to write (.gif or .mp4)."] = None,
+    json: JsonOption = False,
+) -> None:
+    """Simulate a gait or a sequence of actions of a robot."""
+    described = fk.load_robot(robot)
+    require_writable(out)
+    if out is not None and out.suffix.lower() not in (".csv", ".txt", ""):
+        raise InputError(
+            f"--out {str(out)!r} ends in {out.suffix!r}, but a swim is written as CSV: give a name in .csv"
+        )
+    if animation is not None:
+        from frogkick.report.animation import require_animation_name
+
+        require_animation_name(animation)
+        require_writable(animation)
+    egain = described.egain_percent if egain_percent is None else egain_percent
+    frequency = described.profile_frequency_hz if frequency_hz is None else frequency_hz
+    if actions is not None and (egain_percent is not None or frequency_hz is not None):
+        raise InputError(
+            "--actions uses the robot's own profile: leave out --egain-percent and --frequency-hz"
+        )
+    begin = (0.0, 0.0, 0.0) if actions is None else _velocity(initial_velocity)
+    result = fk.simulate(
+        described,
+        actions,
+        velocity_body=begin,
+        egain_percent=egain_percent,
+        frequency_hz=frequency_hz,
+        phase=phase,
+        cycles=cycles,
+    )
+    if out is not None:
+        _write_csv(out, result)
+    animated: dict[str, Any] = {}
+    if animation is not None:
+        from frogkick.report.animation import actions_swim, gait_swim, write_animation
+
+        if actions is not None:
+            from frogkick.front.swimming import actions_of
+
+            swim = actions_swim(described, actions_of(described, actions), begin)
+        else:
+            swim = gait_swim(described, egain, frequency, phase, cycles)
+        with progress_bar("animation") as progress:
+            animated["animation"] = write_animation(swim, animation, progress)
+    show(
+        {
+            "speed_mps": result.speed_mps,
+            "distance_m": result.distance_m,
+            # Without forward motion it is infinite, which JSON cannot hold.
+            "cost_of_transport": result.cost_of_transport
+            if math.isfinite(result.cost_of_transport)
+            else None,
+            **animated,
+        },
+        json,
+    )
+
+
+def build_library(
+    robot: RobotArgument = "frog2022",
+    states: Annotated[int, typer.Option(min=1, max=65535, help="Number of initial velocities.")] = 300,
+    out: Annotated[Path, "HDF5 file to write."] = Path("lib.h5"),
+    workers: WorkersOption = 0,
+    sampling: Annotated[
+        Sampling,
+        "How initial velocities are drawn. box: uniformly, as in the paper; visited: from swims with random "
+        "strokes; planned: from swims that the planner steers.",
+    ] = Sampling.box,
+    record_s: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=60.0,
+            help="Time to simulate and record after each transition's start, s; 0: one period.",
+        ),
+    ] = RECORD_S,
+    cluster: ClusterOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Simulate every action from each of many initial velocities. An interrupted build can be resumed."""
+    described = fk.load_robot(robot)
+    require_writable(out)
+    processes = local_processes(workers, cluster)
+    began = time.perf_counter()
+    made = fk.build_library(
+        described,
+        states,
+        seed,
+        sampling=sampling.value,
+        record_s=record_s,
+        workers=processes,
+        cluster=cluster,
+        out=out,
+        progress=True,
+    )
+    for failure in made.failed:
+        name = described.actions[failure.action].name
+        say(f"state {failure.state}, action {name} is left out of the tables: {failure.reason}")
+    transitions = states * len(described.actions)
+    show(
+        {
+            "transitions": transitions,
+            "failed": len(made.failed),
+            "wall_s": round(time.perf_counter() - began, 3),
+            "simulated_s": transitions * max(described.period_s, record_s),
+            "out": str(out),
+        },
+        json,
+    )
+
+
+def show_library(
+    library: LibraryArgument,
+    json: JsonOption = False,
+) -> None:
+    """Show what a library holds."""
+    from frogkick.front.tables import library_info
+
+    # How long it took is not in the file, whose bytes do not depend on the machine.
+    show({**library_info(library), "wall_s": None}, json)
+
+
+def build_table(
+    library: LibraryArgument,
+    kind: Annotated[
+        Kind | None,
+        typer.Option(
+            help="nearest: the paper's table; affine: fewer states, with local linear corrections and limb "
+            "history. Default: the kind with the smaller error: affine, unless the library has too few "
+            "states.",
+            show_default=False,
+        ),
+    ] = None,
+    budget_kib: Annotated[
+        float | None,
+        typer.Option(
+            min=0.5,
+            max=16384,
+            help="Largest size of the image, KiB; states are placed where the error is largest. Default: "
+            "64 for affine, no limit for nearest.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[Path, "Table image to write (.fkt)."] = Path("tables.fkt"),
+    test_states: Annotated[
+        int, typer.Option(min=4, max=10000, help="Number of unseen states to measure the error on.")
+    ] = 64,
+    seed: SeedOption = 1,
+    json: JsonOption = False,
+) -> None:
+    """Make a table image, and measure its error on states that are not in it."""
+    content = fk.load_library(library)
+    require_writable(out)
+    table = fk.fit_table(content, kind.value if kind else None, budget_kib, progress=True)
+    error = table.error(test_states, seed, content.sampling, progress=True)
+    table.save(out)
+    show({**table.facts(), "error": error, "sampling": content.sampling, "out": str(out)}, json)
+
+
+def show_table(
+    tables: TableArgument,
+    robot: Annotated[
+        str | None,
+        typer.Option("--robot", "--model", help="Refuse a table that was not made for this robot."),
+    ] = None,
+    test_states: Annotated[
+        int,
+        typer.Option(
+            min=0, max=10000, help="Number of unseen states to measure the error on; 0: do not measure it."
+        ),
+    ] = 64,
+    sampling: UnseenOption = Sampling.box,
+    seed: SeedOption = 1,
+    json: JsonOption = False,
+) -> None:
+    """Check a table image, show what it holds, and measure its error on unseen states."""
+    from frogkick.front.tables import read_facts
+
+    facts = read_facts(tables)
+    error = None
+    try:
+        table = fk.load_table(tables, robot)
+    except fk.InputError:
+        if robot is not None:
+            raise  # otherwise no built-in robot fits, and only the image's own facts are shown
+    else:
+        if test_states:
+            error = table.error(test_states, seed, sampling.value, progress=True)
+    show({**facts, "error": error, "sampling": sampling.value}, json)
+
+
+def codegen(
+    tables: TableArgument,
+    out: Annotated[Path, "Folder to write."],
+    measured: Annotated[
+        bool,
+        typer.Option(
+            "--measure/--no-measure",
+            help="Measure sizes and times on the virtual chip and write them into the README.",
+        ),
+    ] = True,
+    json: JsonOption = False,
+) -> None:
+    """Generate C99 from a table and the planner, with a README of their sizes and times on the chip."""
+    require_writable(out, folder=True)
+    files = fk.emit_c(tables, out, measure=measured, progress=True)
+    show(
+        {"out": str(out), "files": files}, json, "\n".join(f"{files[name]}  {name}" for name in sorted(files))
+    )
+
+
+def build_firmware(
+    tables: Annotated[Path, "Table image (.fkt)."],
+    target: Annotated[Target, "bench: nRF52832; native: this computer."] = Target.bench,
+    robot: ModelOption = None,
+    out: Annotated[Path, "Folder for the results."] = Path("firmware-build"),
+    json: JsonOption = False,
+) -> None:
+    """Build the firmware around a table image. The value stack_bytes is the stack that the image reserves."""
+    require_writable(out, folder=True)
+    built = fk.build_firmware(fk.load_table(tables, robot), target.value, out)
+    show(built.as_json(), json)
+
+
+def measure_firmware(
+    tables: TablesOption = None,
+    robot: ModelOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Measure flash, RAM and stack of the bench image.
+
+    The stack is measured on the virtual chip; its proved bound stands beside it.
+    """
+    from frogkick.front.building import try_firmware
+
+    show(try_firmware(tables, robot).sizes(), json)
+
+
+def flash_firmware(
+    image: Annotated[
+        Path | None, "Intel HEX file (bench.hex of 'firmware build'); default: built from --tables."
+    ] = None,
+    tables: TablesOption = None,
+    robot: ModelOption = None,
+    probe: Annotated[str | None, "Serial number of the debug probe, if several are plugged in."] = None,
+    json: JsonOption = False,
+) -> None:
+    """Flash the bench image into a development kit through its debug probe."""
+    from frogkick.front.building import flash_firmware as flash
+
+    done = flash(image, table=tables, robot=robot, probe=probe, progress=True)
+    show({"probe": done.probe, "bytes": done.bytes}, json)
+
+
+def check_firmware(
+    tables: TablesOption = None,
+    robot: ModelOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Boot the image on the virtual chip and test every command, stroke and limit."""
+    from frogkick.front.building import try_firmware
+
+    trial = try_firmware(tables, robot, progress=True)
+    show(trial.as_json(), json)
+    if not trial.passed:
+        raise typer.Exit(1)
+
+
+library = group(
+    "Simulate transitions for many initial velocities.", {"build": build_library, "info": show_library}
+)
+tables = group("Make the robot's table image from a library.", {"build": build_table, "info": show_table})
+firmware = group(
+    "Build, measure, flash and test the robot's firmware.",
+    {"build": build_firmware, "size": measure_firmware, "flash": flash_firmware, "test": check_firmware},
+)

@@ -1,0 +1,253 @@
+"""The model and the bits put to the test: ``frogkick parity``, ``validate`` and ``sweep``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from frogkick.cli.common import (
+    ClusterOption,
+    DepthOption,
+    JsonOption,
+    ModelOption,
+    PlannerName,
+    PlannerOption,
+    RobotArgument,
+    RobotFileOption,
+    SeedOption,
+    TablesOption,
+    WorkersOption,
+    local_processes,
+    show,
+)
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable
+from frogkick.core.progress import progress_bar, tell_line
+
+if TYPE_CHECKING:
+    from frogkick.front.gaits import Point, Swept
+
+LOOP_DECISIONS = 200
+"""The value of frogkick.front.parity, repeated so that a command's help does not load that module."""
+
+
+def parity(
+    states: Annotated[
+        int, typer.Option(min=10, max=10_000_000, help="Number of states for Python and native C.")
+    ] = 100_000,
+    chip_states: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=10_000_000, help="How many of the states the virtual chip decides too.  [default: all]"
+        ),
+    ] = None,
+    loop_decisions: Annotated[
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Number of decisions of the closed-loop run, from fixes to decisions."
+        ),
+    ] = LOOP_DECISIONS,
+    tables: TablesOption = None,
+    model: ModelOption = None,
+    planner: PlannerOption = PlannerName.paper,
+    depth: DepthOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Make the same decisions in Python, in native C and on the virtual chip, and count differing bits.
+
+    Single decisions start from states of every kind, at depth 1 to 4. A closed-loop run follows at --depth.
+    Native C is compiled by zig's clang (native), and by gcc if this machine has it. The exit code is 1 if a
+    bit differs.
+    """
+    from frogkick.front.parity import compare_places
+
+    found = compare_places(
+        tables,
+        robot=model,
+        states=states,
+        chip_states=chip_states,
+        loop_decisions=loop_decisions,
+        planner=planner.value,
+        depth=depth,
+        seed=seed,
+        progress=True,
+    )
+    show(found.as_json(), json)
+    if not found.same:
+        raise typer.Exit(1)
+
+
+def _compared(result: dict[str, Any]) -> str:
+    shape, authors, floor = (
+        result[key] for key in ("within_cycle_rms_mm", "authors_rmse_mps", "noise_floor_mps")
+    )
+    lines = [f"profiles: {result['profiles']}"]
+    for group, rmse in result["rmse_mps"].items():
+        line = f"{group}: speed RMSE {1e3 * rmse:.2f} mm/s"
+        if group in shape:
+            line += f", within a cycle {shape[group]:.2f} mm RMS"
+        if group in authors:
+            line += f"; the authors' simulation {1e3 * authors[group]:.2f}"
+        if group in floor:
+            line += f", noise floor {1e3 * floor[group]:.2f}"
+        lines.append(line)
+    for asked in (*result["requirements"], *result["groups_above_limit"]):
+        verdict = "held" if asked["held"] else "MISSED"
+        lines.append(
+            f"limit {verdict}: {asked['what']} of {asked['group']} {asked['value']:.3g}, "
+            f"limit {asked['limit']:.3g}"
+        )
+    if result["left_out"]:
+        lines += [
+            f"{part['egain_percent']:g} % EGaIn, with constants matched only to the others: speed RMSE "
+            f"{1e3 * part['left_out_rmse_mps']:.2f} mm/s, on the others {1e3 * part['matched_rmse_mps']:.2f}"
+            for part in result["left_out"]["parts"]
+        ]
+        lines += [
+            f"{group}, each fraction left out: speed RMSE {1e3 * rmse:.2f} mm/s, within a cycle "
+            f"{result['left_out']['within_cycle_rms_mm'][group]:.2f} mm RMS"
+            for group, rmse in result["left_out"]["rmse_mps"].items()
+        ]
+    if any(group.startswith("experiments") for group in floor):
+        lines.append(f"noise floor: {result['noise']['method']}")
+    lines += [f"skipped {skipped['case']}: {skipped['reason']}" for skipped in result["skipped"]]
+    return "\n".join(lines)
+
+
+def validate(
+    data_dir: Annotated[Path, typer.Argument(help="Folder of the paper's data: sim/, exp/, profile/.")],
+    robot: RobotFileOption = "frog2022",
+    report: Annotated[Path | None, "HTML report to write."] = None,
+    left_out: Annotated[
+        bool, "Match the robot's constants again without each EGaIn fraction; this takes minutes."
+    ] = False,
+    workers: WorkersOption = 0,
+    check: Annotated[bool, typer.Option(help="Exit with code 1 if a limit is missed.")] = False,
+    json: JsonOption = False,
+) -> None:
+    """Compare the model with every simulation and measured swim of a data folder.
+
+    All are compared with one parameter set. Limb profiles come from the folder's own files if it has them.
+    Constants that no paper gives were matched to these simulations. --left-out shows the errors on fractions
+    that the constants were not matched to.
+    """
+    from frogkick.front.gaits import validate as compare
+
+    require_writable(report)
+    began = time.perf_counter()
+    found = compare(data_dir, robot, left_out=left_out, workers=workers or None, progress=True)
+    result = found.as_json()
+    if report is not None:
+        found.report(report)
+        result["report"] = str(report)
+    result["wall_s"] = round(time.perf_counter() - began, 3)
+    show(result, json, _compared(result))
+    if check and not found.held:
+        raise typer.Exit(1)
+
+
+def _numbers(text: str | None, option: str) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(
+            f"{option} is {text!r}: give numbers separated by commas, such as 0.4,0.5,0.6"
+        ) from None
+
+
+def _ranks(title: str, points: Sequence[Point]) -> list[str]:
+    return [title] + [
+        f"  {place}. {point.gait.egain_percent:g} % EGaIn, {point.gait.frequency_hz:g} Hz, phase "
+        f"{point.gait.phase:g}: {1e3 * point.speed_mps:.1f} mm/s, cost of transport "
+        f"{point.cost_of_transport:.0f}"
+        for place, point in enumerate(points[:5], start=1)
+    ]
+
+
+def _ranked(swept: Swept, out: Path) -> str:
+    lines = _ranks("fastest:", swept.fastest)
+    lines += _ranks("most efficient:", swept.most_efficient)
+    for verdict in swept.verdicts:
+        design, fast = verdict.winner.design, verdict.winner.speed_mps is not None
+        lines.append(
+            f"the paper's {'fastest' if fast else 'most efficient'} {design.egain_percent:g} %, "
+            f"{design.frequency_hz:g} Hz: rank {verdict.rank} here"
+            f"{'' if verdict.agrees else ', which DISAGREES'}. {verdict.why}"
+        )
+    plan = swept.sweep.plan
+    lines += [f"interpolated limb profile: {design.name}" for design in sorted(plan.interpolated)]
+    lines += [f"skipped {skipped.case}: {skipped.reason}" for skipped in plan.skipped]
+    lines += [f"failed {point.gait}: {point.failure}" for point in swept.points if point.failure]
+    return "\n".join([*lines, swept.energy_model, f"written to {out}"])
+
+
+def _with_rate(bar: Callable[[int, int], None]) -> Callable[[int, int], None]:
+    """Update a progress bar; without a terminal, also print the rate and the time left."""
+    began, first = time.monotonic(), -1
+
+    def update(done: int, whole: int) -> None:
+        nonlocal first
+        bar(done, whole)
+        if first < 0:
+            first = done  # results of an earlier start do not count for the rate
+        passed = time.monotonic() - began
+        if done > first and passed > 0.0 and not sys.stderr.isatty():
+            rate = (done - first) / passed
+            tell_line(f"  {rate:.1f} gaits/s, {(whole - done) / rate:.0f} s left")
+
+    return update
+
+
+def sweep(
+    out: Annotated[Path, "Folder for the results; an interrupted sweep resumes there."],
+    robot: RobotArgument = "frog2022",
+    frequencies: Annotated[
+        str | None, "Frequencies in Hz, such as 0.4,0.5; default: those measured for each fraction."
+    ] = None,
+    phases: Annotated[
+        int, typer.Option(min=1, max=1000, help="Number of phase offsets, evenly spaced from 0.")
+    ] = 10,
+    egain: Annotated[str | None, "EGaIn fractions in %, such as 10,30; default: the measured ones."] = None,
+    workers: WorkersOption = 0,
+    cluster: ClusterOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Simulate every EGaIn fraction, frequency and phase offset, and rank by speed and cost of transport.
+
+    Limb profiles between the measured ones are interpolated. Designs outside their range are left out and
+    listed.
+    """
+    from frogkick.front.gaits import sweep as run
+
+    require_writable(out, folder=True)
+    processes = local_processes(workers, cluster)
+    designs = {
+        "frequencies_hz": _numbers(frequencies, "--frequencies"),
+        "egain_percent": _numbers(egain, "--egain"),
+    }
+    began = time.perf_counter()
+    with progress_bar("sweep: gaits") as bar:
+        swept = run(
+            robot,
+            **designs,
+            phases=phases,
+            out=out,
+            workers=processes,
+            cluster=cluster,
+            progress=_with_rate(bar),
+        )
+    files = swept.save(out)
+    result = swept.as_json()
+    result["files"] = [str(file) for file in files]
+    result["wall_s"] = round(time.perf_counter() - began, 3)
+    show(result, json, _ranked(swept, out))
+    if result["failures"]:
+        raise typer.Exit(1)

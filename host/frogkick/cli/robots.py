@@ -1,0 +1,213 @@
+"""Robots to talk with: ``pool`` serves a simulated one; ``scan``, ``push`` and ``own`` are for real ones."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import frogkick as fk
+from frogkick.cli.common import (
+    JsonOption,
+    KeyOption,
+    ModelOption,
+    SeedOption,
+    TablesOption,
+    TargetOption,
+    WorldOption,
+    say,
+    show,
+)
+from frogkick.core.errors import InputError
+
+if TYPE_CHECKING:
+    from frogkick.front.robots import Pushed
+    from frogkick.front.serving import ServedPool
+
+LOOK_S = 0.1
+
+
+class Lines:
+    """Lines of standard input as they come; none of a terminal in whose background this program runs."""
+
+    def __init__(self) -> None:
+        self._number = sys.stdin.fileno()
+        self._is_open, self._rest = True, b""
+
+    def wait(self, timeout_s: float) -> list[str]:
+        """Return whole lines, after this time at the latest."""
+        if not self._is_open or not self._is_mine():
+            time.sleep(timeout_s)
+            return []
+        if not select.select([self._number], [], [], timeout_s)[0]:
+            return []
+        read = os.read(self._number, 4096)
+        self._is_open = bool(read)
+        *lines, self._rest = (self._rest + read).split(b"\n")
+        return [line.decode("utf-8", "replace") for line in lines if line.strip()]
+
+    def _is_mine(self) -> bool:
+        return not os.isatty(self._number) or os.tcgetpgrp(self._number) == os.getpgrp()
+
+
+def serve_pool(
+    tables: TablesOption = None,
+    model: ModelOption = None,
+    virtual: Annotated[
+        bool, "Run the robot's firmware on the virtual chip, instead of its C core on this computer."
+    ] = False,
+    world: WorldOption = None,
+    camera: Annotated[
+        Path | None,
+        "Calibration (.toml) whose camera, pool and tag are rendered; default: 640 x 480 px of a pool of "
+        "1.2 x 0.9 m, 1.35 m above the water, tag36h11 number 0 of 47 mm, 12 mm above the water.",
+    ] = None,
+    begin: Annotated[
+        str | None, "Where the robot lies at first: X,Y,DEG (m, degrees); default: on the left, along x."
+    ] = None,
+    flash: Annotated[
+        Path | None,
+        "File that keeps the robot's flash: tables and owner's key. It is read first if it is there.",
+    ] = None,
+    line: Annotated[
+        Path | None, "Name for the serial port, made as a link; default: the system's name."
+    ] = None,
+    port: Annotated[int, "TCP port of the camera's pictures; 0: a free one."] = 0,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Serve a simulated robot in real time: a serial port for --robot, and a camera's pictures for --source.
+
+    It stands in for a robot in water in all commands that talk with one, until Ctrl-C. The pictures show the
+    pool with the robot's tag; they are rendered only while somebody looks. Lines on standard input change
+    what happens: put [X,Y,DEG], hide, show, mirror, unplug, plug, restart. Windows has no pseudo-terminals,
+    which the serial port needs.
+    """
+    from frogkick.front.serving import served_pool
+
+    began_s = time.monotonic()
+    with (
+        served_pool(
+            tables,
+            model=model,
+            robot="virtual" if virtual else "pool",
+            world=world,
+            camera=camera,
+            begin=begin,
+            flash=flash,
+            line=line,
+            port=port,
+            seed=seed,
+        ) as pool,
+        suppress(KeyboardInterrupt),
+    ):
+        show(pool.as_json(), json)
+        sys.stdout.flush()
+        _serve(pool)
+    kept = "" if flash is None else f", and the robot's flash is in {flash}"
+    say(f"the pool is closed after {time.monotonic() - began_s:.0f} s{kept}")
+
+
+def _serve(pool: ServedPool) -> None:
+    lines = Lines()
+    while True:
+        for text in lines.wait(LOOK_S):
+            try:
+                say(pool.act(text))
+            except InputError as error:
+                say(str(error))
+        pool.look_after()
+
+
+def text_of(pushed: Pushed, target: str) -> str:
+    """Return the result as text for people."""
+    if not pushed.bytes_sent:
+        return (
+            f"{target} uses table {pushed.table_crc:08x}, which it already had, and keeps "
+            f"{pushed.kept_crc:08x}"
+        )
+    return (
+        f"{target} received {pushed.bytes_sent} bytes in {pushed.took_s:.1f} s and uses table "
+        f"{pushed.table_crc:08x}; it keeps the previous table {pushed.kept_crc:08x}; to return to it: "
+        f"'frogkick push --rollback --robot {target}'"
+    )
+
+
+def push(
+    robot: TargetOption,
+    tables: Annotated[Path | None, typer.Argument(help="Table image (.fkt).")] = None,
+    rollback: Annotated[bool, "Return to the previous table instead."] = False,
+    key: KeyOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Send a robot another table by Bluetooth or serial line. It is disarmed and keeps the previous table."""
+    from frogkick.front.robots import connect, push_table, require_target
+
+    require_target(robot)
+    if rollback is (tables is not None):
+        raise InputError("push takes either a table image or --rollback: give one of the two")
+    if tables is not None:
+        pushed = push_table(robot, tables, progress=True, key=key)
+    else:
+        with connect(robot, key) as bot:
+            pushed = bot.roll_back()
+    show(pushed.as_json(), json, text_of(pushed, robot))
+
+
+def own(
+    robot: TargetOption,
+    key: Annotated[
+        Path | None, "Key file, which is made if it does not exist; default: the user's owner.key."
+    ] = None,
+    release: Annotated[bool, "Let anybody command the robot again."] = False,
+    json: JsonOption = False,
+) -> None:
+    """Restrict a robot to the commands of its owner, who has a key. DISARM and STOP never need the key.
+
+    The key is made on this computer. Keep a copy of it: without the key the chip must be erased and flashed.
+    The key is sent unencrypted, so use a serial line or a paired radio link.
+    """
+    from frogkick.front.robots import connect, default_key_file, require_target
+
+    require_target(robot)
+    with connect(robot, key) as bot:
+        bot.own(release)
+    file = key or default_key_file()
+    text = (
+        f"{robot} accepts commands from anybody"
+        if release
+        else f"{robot} accepts commands only with the key in {file}: keep a copy of it"
+    )
+    show({"robot": robot, "owned": not release, "key": None if release else str(file)}, json, text)
+
+
+def scan(
+    seconds: Annotated[float, "Time to listen, 0.5 to 60."] = 4.0,
+    json: JsonOption = False,
+) -> None:
+    """List the robots in Bluetooth range with signal, table and state, the strongest signal first.
+
+    Each robot is connected to for a moment. None is armed, disarmed or moved. The exit code is 1 if no robot
+    is found.
+    """
+    found = fk.scan(seconds)
+    lines = []
+    for one in found:
+        state = one.error or (
+            f"{one.robot}, table {one.table_crc:08x}, {one.state}{', has an owner' if one.owned else ''}"
+        )
+        lines.append(f"{one.target}  {one.signal_dbm} dBm  {state}")
+    if found or json:
+        show({"robots": [one.as_json() for one in found]}, json, "\n".join(lines))
+    if not found:
+        say(
+            f"no robot advertises within {seconds:g} s: switch it on, charge it, bring it nearer, and "
+            "disconnect other hosts from it"
+        )
+        raise typer.Exit(1)

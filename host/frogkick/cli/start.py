@@ -1,0 +1,255 @@
+"""``frogkick demo``: once round the ring; ``doctor``: what this machine has; ``robot``: their files."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import frogkick as fk
+from frogkick.cli.common import (
+    DepthOption,
+    JsonOption,
+    RobotArgument,
+    RobotFileOption,
+    SeedOption,
+    group,
+    show,
+)
+from frogkick.core.files import require_writable
+from frogkick.report.style import write_picture
+
+if TYPE_CHECKING:
+    from frogkick.front.readiness import Finding
+    from frogkick.front.ring import Closing
+
+
+def demo(
+    out: Annotated[Path, "Folder for all results."] = Path("demo"),
+    robot: RobotFileOption = "frog2022",
+    states: Annotated[
+        int | None,
+        typer.Option(
+            min=10,
+            max=2000,
+            help="Initial velocities of the library; default: as for the default table.",
+            show_default=False,
+        ),
+    ] = None,
+    depth: DepthOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Simulate, make tables, build the firmware and swim on the virtual chip.
+
+    Then a limb is worn, the wear is identified from the runs, and new tables are made and tried.
+    """
+    from frogkick.front.ring import demonstrate
+
+    ring, report = demonstrate(out, robot, states=states, depth=depth, seed=seed, progress=True)
+    values = {**ring.as_json(), "report": str(report)}
+    lines = [
+        f"{name:8s} mean distance {1e3 * float(path['mean_distance_m']):5.1f} mm, "
+        f"{path['decisions']} decisions, {'completed' if path['completed'] else 'not completed'}, "
+        f"{path['mismatches']} mismatches between chip and twin"
+        for name, path in values["paths"].items()
+    ]
+    if ring.closing is not None:
+        lines += _closing_lines(ring.closing)
+    show(values, json, "\n".join([*lines, f"report: {report.resolve()}"]))
+    if not ring.passed:
+        raise typer.Exit(1)
+
+
+def _closing_lines(closing: Closing) -> list[str]:
+    tested, found = closing.outcome.tested, [term.title for term in closing.outcome.terms]
+    hidden = ", ".join(str(value) for value in closing.planted.values())
+    lines = [
+        f"hidden effect: {hidden}; verdict: {closing.outcome.verdict} ({', '.join(found) or 'no effect'})"
+    ]
+    lines += [
+        f"{name:8s} {error} RMS one period ahead on the test run"
+        for name, error in (("before", tested.before), ("after", tested.after), ("noise", tested.noise_floor))
+    ]
+    if closing.new:
+        lines.append(
+            f"worn robot: {1e3 * closing.distance_m(closing.old):.1f} mm from its paths with the old "
+            f"firmware, {1e3 * closing.distance_m(closing.learned):.1f} mm with it while it learned, "
+            f"{1e3 * closing.distance_m(closing.new):.1f} mm with the new"
+        )
+    return lines
+
+
+def _hint(finding: Finding) -> str:
+    """Return what to do, unless the error itself says it."""
+    return f" -> {finding.install}" if finding.install and finding.install not in finding.detail else ""
+
+
+def doctor(json: JsonOption = False) -> None:
+    """Check which tools this machine has. The exit code is 1 if the simulation loop cannot run here."""
+    from frogkick.front.readiness import check_machine
+
+    found = check_machine()
+    values = found.as_json()
+    lines = [f"frogkick {values['frogkick']}, Python {values['python']}, {values['cores']} cores"]
+    for title, findings in (("needed", found.needed), ("for more", found.optional)):
+        lines.append(f"{title}:")
+        for finding in findings:
+            mark = "ok     " if finding.works else "MISSING"
+            lines.append(f"  {mark} {finding.name}: {finding.detail} ({finding.needed_for}){_hint(finding)}")
+    lines.append("plugged in:")
+    lines += [f"  {finding.name}: {finding.detail}" for finding in found.hardware]
+    lines.append("ready for:")
+    for stage in found.stages:
+        lines.append(f"  {'ready    ' if stage.ready else 'NOT READY'} {stage.name}: {stage.begin}")
+        lines += [
+            f"            {finding.name}: {finding.detail}{_hint(finding)}"
+            for finding in stage.findings
+            if not finding.works
+        ]
+    show(values, json, "\n".join(lines))
+    if not found.ready:
+        print("frogkick: doctor found something missing", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def list_robots(json: JsonOption = False) -> None:
+    """List the built-in robots."""
+    names = fk.built_in_robots()
+    robots = [fk.load_robot(name) for name in names]
+    rows = [
+        {
+            "name": name,
+            "title": robot.title,
+            "limbs": len(robot.limbs),
+            "actions": len(robot.actions),
+            "period_s": robot.period_s,
+        }
+        for name, robot in zip(names, robots, strict=True)
+    ]
+    lines = [
+        f"{row['name']}: {row['title']}; {row['limbs']} limbs, {row['actions']} actions, {row['period_s']} s"
+        for row in rows
+    ]
+    show({"robots": rows}, json, "\n".join(lines))
+
+
+def new_robot(
+    out: Annotated[Path, typer.Argument(help="TOML file to write; its file name becomes the robot's id.")],
+    base: Annotated[
+        str, typer.Option("--from", help="Built-in name or TOML file to start from.")
+    ] = "frog2022",
+    limbs: Annotated[int | None, "Number of limbs to keep, from the first; default: all."] = None,
+    json: JsonOption = False,
+) -> None:
+    """Write a complete robot file to start from, with a comment on every key."""
+    from frogkick.front.describing import write_new_robot
+
+    robot = write_new_robot(out, base, limbs)
+    facts = {"id": robot.id, "limbs": len(robot.limbs), "actions": len(robot.actions), "out": str(out)}
+    show(facts, json)
+
+
+def fit_stroke(
+    strokes: Annotated[
+        list[Path],
+        typer.Argument(
+            help="CSV files, each of one cycle that starts with the pulse. Columns: time_s,curvature_per_m "
+            "or time_s,tip_x_m,tip_y_m (position of the tip from the root, x along the limb at the root)."
+        ),
+    ],
+    out: Annotated[Path, "TOML file to write, for the key profiles_file of a robot."],
+    egain_percent: Annotated[
+        float, typer.Option(min=0.0, max=100.0, help="EGaIn fraction of the limb's alloy, %.")
+    ] = 0.0,
+    frequency_hz: Annotated[
+        float | None, "Strokes per second; default: one over the last time of each file."
+    ] = None,
+    length_m: Annotated[float | None, "Length of the limb, needed if its tip was tracked."] = None,
+    picture: Annotated[Path | None, "PNG to write, of the measured strokes and the fits."] = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit limb profiles to measured strokes: how the curvature falls and recovers."""
+    from frogkick.front.describing import fit_strokes
+
+    require_writable(out)
+    require_writable(picture)
+    found = fit_strokes(strokes, egain_percent=egain_percent, frequency_hz=frequency_hz, length_m=length_m)
+    found.save(out)
+    if picture is not None:
+        write_picture(found.plot(), picture, ".png")
+    show({**found.as_json(), "out": str(out), "picture": picture and str(picture)}, json)
+
+
+def show_robot(
+    robot: RobotArgument = "frog2022",
+    out: Annotated[Path | None, "Picture to write (.png, .svg or .pdf)."] = None,
+    json: JsonOption = False,
+) -> None:
+    """Show a robot in numbers, and draw it as it is simulated: nodes, frame, limbs at rest and active.
+
+    All lengths are those at rest. Doubtful geometry and doubtful limits are reported as warnings.
+    """
+    from frogkick.front.describing import describe
+
+    require_writable(out)
+    described = describe(robot)
+    if out is not None:
+        from frogkick.report.robot_figure import write_robot_figure
+
+        write_robot_figure(described.robot, out)
+    for warning in described.warnings:
+        print(f"frogkick: warning: {warning}", file=sys.stderr)
+    facts, picture = described.as_json(), None if out is None else str(out)
+    values = {**facts, "warnings": list(described.warnings), "out": picture}
+    show(values, json, _robot_text(described.robot, facts))
+
+
+def draw_frames(
+    out: Annotated[Path, "Picture to write (.png, .svg or .pdf)."],
+    json: JsonOption = False,
+) -> None:
+    """Draw the frames and units that files, options and logs use: pool, robot, tag and heights."""
+    require_writable(out)
+    from frogkick.report.frames_figure import UNITS, write_frames_figure
+
+    write_frames_figure(out)
+    show({"out": str(out), "units": {what: unit for what, unit, _ in UNITS}}, json)
+
+
+def _robot_text(robot: fk.Robot, facts: dict[str, Any]) -> str:
+    sizes, guard = facts["sizes"], robot.guard
+    lines = [
+        f"{robot.id}: {robot.title}",
+        f"{facts['nodes']} nodes, segments {1e3 * sizes['segment_min_m']:.2f} to "
+        f"{1e3 * sizes['segment_max_m']:.2f} mm",
+        f"{1e3 * robot.mass_kg:.0f} g; {1e3 * sizes['length_m']:.0f} mm long, "
+        f"{1e3 * sizes['width_m']:.0f} mm wide at rest",
+        f"one stroke every {robot.period_s:g} s, pulses of {1e3 * robot.pulse_s:g} ms",
+        f"guard: pulses up to {1e3 * guard.pulse_max_s:g} ms, then {guard.rest_min_s:g} s of rest; "
+        f"on for up to {100 * guard.duty_max:g} % of {guard.duty_window_s:g} s; "
+        f"{guard.limbs_at_once_max} limbs at once",
+    ]
+    for limb in facts["limbs"]:
+        x, y = (1e3 * value for value in limb["root_m"])
+        place = f"corner {limb['corner']} at ({x:g}, {y:g}) mm"
+        fired = " ".join(limb["actions"]) or "none"
+        lines.append(f"limb {limb['index']} {limb['name']}: {place}, actions {fired}")
+    for action in facts["actions"]:
+        first, second = (" ".join(action[group]) or "none" for group in ("first", "second"))
+        lines.append(f"action {action['name']}: {first}; then {second}")
+    return "\n".join(lines)
+
+
+robot = group(
+    "List and show robots, and write the file of a new one.",
+    {
+        "list": list_robots,
+        "new": new_robot,
+        "fit-stroke": fit_stroke,
+        "show": show_robot,
+        "frames": draw_frames,
+    },
+)

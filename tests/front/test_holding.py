@@ -14,7 +14,7 @@ from tests.runs import rig
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.front.holding import held, hold_json, hold_radius_m, require_room, turn_radius_m
+from frogkick.front.courses import held, hold_json, hold_radius_m, require_room, turn_radius_m
 from frogkick.paths import line
 from frogkick.paths.hold import LAP_POINTS
 from frogkick.planner.plan import PlanConfig

@@ -11,8 +11,8 @@ from tests.conftest import from_ci
 
 import frogkick as fk
 from frogkick.core.errors import InputError
+from frogkick.front.courses import MARGIN_M, WALL_GLIDE, WALL_WEIGHT_PER_M, walled
 from frogkick.front.tables import default_tables, load_table
-from frogkick.front.walls import MARGIN_M, WALL_GLIDE, WALL_WEIGHT_PER_M, walled
 from frogkick.paths import from_waypoints
 from frogkick.planner.plan import PlanConfig, config_of, plan
 

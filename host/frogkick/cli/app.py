@@ -10,7 +10,6 @@ import typer.main
 from typer.core import TyperGroup
 
 import frogkick
-from frogkick.cli.common import with_options
 from frogkick.core.interrupts import ctrl_c_waits
 
 LOG_COMMANDS = {
@@ -95,6 +94,8 @@ class LazyGroup(TyperGroup):
             return typer.main.get_command(_group(cmd_name, text, place))
         name, _, attribute = place.partition(":")
         with ctrl_c_waits():
+            from frogkick.cli.common import with_options
+
             module = importlib.import_module(f"frogkick.cli.{name}")
         parent = typer.Typer(rich_markup_mode=None, add_completion=False)
         parent.callback()(lambda: None)

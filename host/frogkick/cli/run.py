@@ -145,8 +145,7 @@ def run(
             "where the robot is, and that it leads where the robot can go"
         )
     from frogkick.front.bench import UNFINISHED
-    from frogkick.front.holding import held
-    from frogkick.front.next_paths import not_reached
+    from frogkick.front.courses import held, not_reached
     from frogkick.front.run_progress import lacks_a_limb, tight_path
 
     if lacks := lacks_a_limb(found.ended):

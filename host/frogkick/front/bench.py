@@ -17,9 +17,9 @@ import numpy as np
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
-from frogkick.front.holding import require_room
+from frogkick.front.courses import require_room
 from frogkick.front.places import built_firmware, start_pose
-from frogkick.front.run_progress import SLOW_S
+from frogkick.front.run_progress import SLOW_S, Keep
 from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
@@ -61,11 +61,7 @@ POOL = "pool"
 
 
 def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
-    """Refuse a video without a camera, or without a log beside which it is kept.
-
-    Raises:
-        InputError: --video without the camera of a real robot, or without --out.
-    """
+    """Raise InputError for a video without a camera, or without a log beside which it is kept."""
     if video and (fixes is None or fixes in (STDIN, POOL)):
         raise InputError(
             "--video records a camera's pictures, but this run has no camera: give --fixes camera.toml"
@@ -83,11 +79,7 @@ def require_bench(
     begin: str | None = None,
     key: str | None = None,
 ) -> None:
-    """Refuse options that do not fit a real robot, or a simulated one.
-
-    Raises:
-        InputError: an option does not fit.
-    """
+    """Raise InputError for options that do not fit a real robot, or a simulated one."""
     require_dialect(dialect)
     if not is_target(robot):
         for name, value in (
@@ -154,11 +146,7 @@ class Sight:
     ) -> Iterator[tuple[LineFixes | CameraFixes | PoolFixes, tuple[float, float] | None]]:
         """Yield the running source, and the pool's length and width if they are known.
 
-        Args:
-            robot, tables, path: of a simulated pool: the robot, its tables, and the path where it starts.
-
-        Raises:
-            InputError: no such calibration or camera.
+        In a simulated pool the robot starts at the path.
         """
         if self.fixes == STDIN:
             yield LineFixes(sys.stdin.fileno(), "standard input"), None
@@ -178,30 +166,21 @@ class Sight:
 
     def placed(self, path: SwimPath, pose_world: Sequence[float]) -> SwimPath:
         """Return the path, moved to its beginning."""
-        motion = self._motion(path, pose_world)
-        return path if motion is None else path.place(motion)
+        return self.placed_with(path, (), pose_world)[0]
 
     def placed_with(
         self, path: SwimPath, then: Sequence[NextPath], pose_world: Sequence[float]
-    ) -> tuple[NextPath, ...]:
-        """Return the paths after a path, moved as that is."""
-        motion = self._motion(path, pose_world)
-        if motion is None:
-            return tuple(then)
-        return tuple(one if one.here else replace(one, path=one.path.place(motion)) for one in then)
-
-    def _motion(self, path: SwimPath, pose_world: Sequence[float]) -> tuple[float, float, float] | None:
+    ) -> tuple[SwimPath, tuple[NextPath, ...]]:
+        """Return the path, moved to its beginning, and the paths after it, moved as it is."""
         if self.begin is None:
-            return None
-        return path.motion_to(pose_world if self.begin == "here" else parse_begin(self.begin))
+            return path, tuple(then)
+        motion = path.motion_to(pose_world if self.begin == "here" else parse_begin(self.begin))
+        moved = (one if one.here else replace(one, path=one.path.place(motion)) for one in then)
+        return path.place(motion), tuple(moved)
 
 
 def parse_begin(text: str, what: str = "--begin") -> tuple[float, float, float]:
-    """Return x (m), y (m), heading (rad) of the text ``X,Y,DEG``; ``what`` names it in errors.
-
-    Raises:
-        InputError: not three numbers.
-    """
+    """Return x (m), y (m), heading (rad) of the text ``X,Y,DEG``; ``what`` names it in errors."""
     try:
         x_m, y_m, heading_deg = (float(word) for word in text.split(","))
     except ValueError:
@@ -242,13 +221,10 @@ class Operator(Protocol):
 
 
 class _NoOperator:
-    """An operator that permits arming without asking and never stops the run."""
-
     def wait_to_arm(self) -> None:
-        """Return immediately."""
+        pass
 
     def pressed(self) -> bool:
-        """Return False."""
         return False
 
 
@@ -288,7 +264,7 @@ class Bench:
     drawn: bool = False
 
 
-Kept = Callable[[SwimPath, CameraFixes | None, float], AbstractContextManager[Callable[[Recording], None]]]
+Kept = Callable[[SwimPath, CameraFixes | None, float], AbstractContextManager[Keep]]
 """Makes the log that grows with a recording. Its arguments are the placed path, the camera if there is one,
 and the wall clock at the session's time 0 (s since 1970)."""
 
@@ -304,10 +280,6 @@ def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: 
             tree_of(tables, path, config, decision)
     finally:
         slow.cancel()
-
-
-def _tell(line: str) -> None:
-    tell_line(f"start check: {line}")
 
 
 def run_on_bench(
@@ -329,11 +301,6 @@ def run_on_bench(
         image: table image of ``tables``.
         robot, tables, path, options, progress: see ``run_session``.
         kept: makes the log that grows with the recording.
-
-    Raises:
-        WireError: the robot cannot be reached.
-        LinkError: the robot refuses or does not answer.
-        InputError: the batteries are low, no fixes arrive, or ``check_start`` finds a fault.
     """
     sight, target = bench.sight, parse_target(bench.name)
     battery = "battery: none, a kit" if sight.fixes == POOL else check_battery(robot, bench.battery_v)
@@ -348,8 +315,8 @@ def run_on_bench(
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
             newest = [float(value) for value in seen[-1].pose_world]
-            then = sight.placed_with(path, options.then, newest)
-            path, options = sight.placed(path, newest), replace(options, then=then)
+            path, then = sight.placed_with(path, options.then, newest)
+            options = replace(options, then=then)
         later = [one.path for one in options.then if not one.here]
         if options.hold_m is not None:
             require_room(path, options.hold_m, options.config)
@@ -358,9 +325,13 @@ def run_on_bench(
         wire = bench.wire or stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, bench.dialect, image, robot, bench.key))
         session.handshake(tables)
+
+        def tell(line: str) -> None:
+            tell_line(f"start check: {line}")
+
         for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
-            _tell(line)
-        session.rest(_tell)
+            tell(line)
+        session.rest(tell)
         if bench.film is not None and camera is not None:
             video = Video(bench.film, time.monotonic() - session.port.now_s)
             stack.callback(video.close)

@@ -30,13 +30,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Stage:
-    """One of the three stages.
-
-    Attributes:
-        name: name of the stage.
-        begin: the commands to start with.
-        findings: the items that it needs.
-    """
+    """One of the three stages, with the commands to begin with and the items that it needs."""
 
     name: str
     begin: str
@@ -48,7 +42,7 @@ class Stage:
         return all(finding.works for finding in self.findings)
 
     def as_json(self) -> dict[str, object]:
-        """One of ``stages``."""
+        """One of ``stages`` of the command ``doctor``."""
         return {
             "name": self.name,
             "ready": self.ready,
@@ -59,14 +53,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Readiness:
-    """The tools and devices of this machine.
-
-    Attributes:
-        needed: items for the simulation loop.
-        optional: items for more.
-        hardware: serial ports, debug probes, Bluetooth adapters and cameras that are plugged in.
-        stages: the stages, ready or not.
-    """
+    """The tools of this machine, for the simulation loop and for more, and what is plugged in."""
 
     needed: tuple[Finding, ...]
     optional: tuple[Finding, ...]
@@ -85,9 +72,10 @@ class Readiness:
             "python": platform.python_version(),
             "cores": os.cpu_count(),
             "ready_without_robot": self.ready,
-            "needed": [asdict(finding) for finding in self.needed],
-            "optional": [asdict(finding) for finding in self.optional],
-            "hardware": [asdict(finding) for finding in self.hardware],
+            **{
+                name: [asdict(finding) for finding in getattr(self, name)]
+                for name in ("needed", "optional", "hardware")
+            },
             "stages": [stage.as_json() for stage in self.stages],
         }
 
@@ -105,19 +93,40 @@ def check_machine() -> Readiness:
         package("distributed", "--cluster"),
         package("mcap", "export --mcap", *EXTRAS["mcap"]),
         package("pupil_apriltags", "tags of the family tagStandard41h12"),
-        _program("arm-none-eabi-gcc", "extra checks", "apt install gcc-arm-none-eabi"),
-        _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
-        _program("cppcheck", "extra checks", "apt install cppcheck"),
+        _program("arm-none-eabi-gcc", "apt install gcc-arm-none-eabi"),
+        _program("qemu-system-arm", "apt install qemu-system-arm"),
+        _program("cppcheck", "apt install cppcheck"),
     )
     hardware = check_hardware()
     return Readiness(needed, optional, hardware, tuple(stages(needed, hardware)))
 
 
-def _program(name: str, needed_for: str, package: str) -> Finding:
-    found = shutil.which(name)
+def _found(name: str, is_there: bool, needed_for: str, install: str) -> Finding:
     return Finding(
-        name, found is not None, "installed" if found else "missing", needed_for, "" if found else package
+        name, is_there, "installed" if is_there else "missing", needed_for, "" if is_there else install
     )
+
+
+def _program(name: str, install: str) -> Finding:
+    return _found(name, shutil.which(name) is not None, "extra checks", install)
+
+
+def package(name: str, needed_for: str, *others: str) -> Finding:
+    """Check a Python package, and others that it needs, as the commands do."""
+    return _found(name, all(map(installed, (name, *others))), needed_for, install_command(name))
+
+
+def tried(name: str, needed_for: str, install: str, attempt: Callable[[], str]) -> Finding:
+    """Try a step of a command and return its result or its error."""
+    try:
+        return Finding(name, True, attempt(), needed_for)
+    except FrogkickError as error:
+        return Finding(name, False, " ".join(str(error).split()), needed_for, install)
+
+
+def bench_image() -> Finding:
+    """Check everything that ``firmware build`` needs."""
+    return tried("firmware for the chip", "firmware build", install_command("ziglang"), _try_bench_image)
 
 
 def _try_robot() -> str:
@@ -141,26 +150,6 @@ def _try_chip() -> str:
     return "its emulator is there, its cycle counter builds and loads"
 
 
-def package(name: str, needed_for: str, *others: str) -> Finding:
-    """Check a Python package, and others that it needs, as the commands do."""
-    lacking = [each for each in (name, *others) if not installed(each)]
-    hint = install_command(name) if lacking else ""
-    return Finding(name, not lacking, "missing" if lacking else "installed", needed_for, hint)
-
-
-def tried(name: str, needed_for: str, install: str, attempt: Callable[[], str]) -> Finding:
-    """Try a step of a command and return its result or its error."""
-    try:
-        return Finding(name, True, attempt(), needed_for)
-    except FrogkickError as error:
-        return Finding(name, False, " ".join(str(error).split()), needed_for, install)
-
-
-def bench_image() -> Finding:
-    """Check everything that ``firmware build`` needs."""
-    return tried("firmware for the chip", "firmware build", install_command("ziglang"), _try_bench_image)
-
-
 def _try_bench_image() -> str:
     from frogkick_codegen.firmware import require_tools
     from frogkick_codegen.toolchain import zig
@@ -171,18 +160,19 @@ def _try_bench_image() -> str:
 
 def check_hardware() -> tuple[Finding, Finding, Finding, Finding]:
     """Check serial ports, debug probes, Bluetooth adapters and cameras."""
-    kit = "plug in the kit's USB cable"
+    kit = "plug in the kit's USB cable; check that this user may open"
     return (
-        _hardware(
-            "serial port",
-            "talking with a kit",
-            f"{kit}; check that this user may open its port",
-            serial_ports,
-        ),
-        _hardware("debug probe", "flashing a kit", f"{kit}; check that this user may open it", debug_probes),
-        _hardware("Bluetooth adapter", "talking with a robot", "plug one in and switch it on", adapters),
-        _hardware("camera", "position fixes", "plug one in; check that this user may open it", cameras),
+        _plugged_in("serial port", "talking with a kit", f"{kit} its port", serial_ports()),
+        _plugged_in("debug probe", "flashing a kit", f"{kit} it", debug_probes()),
+        _plugged_in("Bluetooth adapter", "talking with a robot", "plug one in and switch it on", adapters()),
+        _plugged_in("camera", "position fixes", "plug one in; check that this user may open it", cameras()),
     )
+
+
+def _plugged_in(name: str, needed_for: str, hint: str, found: list[str] | None) -> Finding:
+    if found is None:
+        return Finding(name, True, "not checked on this system", needed_for)
+    return Finding(name, bool(found), ", ".join(found) or "none", needed_for, "" if found else hint)
 
 
 def stages(
@@ -214,13 +204,6 @@ def stages(
             "a robot in a pool", "frogkick camera calibrate, run --robot ble:NAME --fixes camera.toml", robot
         ),
     ]
-
-
-def _hardware(name: str, needed_for: str, hint: str, look: Callable[[], list[str] | None]) -> Finding:
-    found = look()
-    if found is None:
-        return Finding(name, True, "not checked on this system", needed_for)
-    return Finding(name, bool(found), ", ".join(found) or "none", needed_for, "" if found else hint)
 
 
 def serial_ports() -> list[str]:

@@ -19,7 +19,7 @@ from frogkick.front.places import (
     require_simulator,
     simulated_robot,
 )
-from frogkick.front.robots import require_target, session_at
+from frogkick.front.robots import connect, require_target
 from frogkick.front.running import Run, run_of
 from frogkick.front.tables import Table, default_tables, load_table, table_image
 from frogkick.link.log import fetch_log as fetch_bytes
@@ -163,8 +163,8 @@ def fetch_log(target: str, out: Path | None = None, progress: Progress = False) 
     """
     require_target(target)
     require_writable(out)
-    with session_at(target, None) as session:
-        fetched = fetch_from(session, progress)
+    with connect(target) as bot:
+        fetched = fetch_from(bot.session(), progress)
     if out is not None:
         write_log(out, fetched)
     return fetched

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,19 +24,7 @@ from frogkick.runs.pushing import Pushed, own, push, roll_back
 from frogkick.runs.session import Session
 from frogkick.tables.image import read_image
 
-__all__ = [
-    "VIRTUAL",
-    "Camera",
-    "Connection",
-    "Pushed",
-    "RobotHeard",
-    "connect",
-    "default_key_file",
-    "push_table",
-    "require_target",
-    "scan",
-    "session_at",
-]
+__all__ = ["Camera", "Connection", "Pushed", "connect", "default_key_file", "push_table", "scan"]
 
 VIRTUAL = "virtual"
 
@@ -58,6 +46,8 @@ class Camera:
 class Connection:
     """A robot that is connected by Bluetooth or a serial line, see ``connect``.
 
+    Each method raises a ``LinkError`` if the robot refuses or does not answer.
+
     Attributes:
         target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
         wire: the open link to it.
@@ -68,16 +58,13 @@ class Connection:
     wire: Wire
     key: Path | None = None
 
-    def _session(self) -> LabSession:
+    def session(self) -> LabSession:
+        """Begin a session: questions of the link's protocol, and their answers."""
         return lab_session(self.wire, self.key)
 
     def status(self) -> dict[str, Any]:
-        """Return the fields of HELLO and STATUS, which the link's documentation describes.
-
-        Raises:
-            LinkError: the robot does not answer.
-        """
-        session = self._session()
+        """Return the fields of HELLO and STATUS, which the link's documentation describes."""
+        session = self.session()
         return {**session.hello(), **session.request("STATUS")}
 
     def push(self, table: Table | Path | str, progress: Progress = False) -> Pushed:
@@ -85,20 +72,15 @@ class Connection:
 
         Raises:
             TableError: the table is for another robot.
-            LinkError: the robot does not answer.
             UploadError: the robot does not accept the table.
         """
         image = table.tables if isinstance(table, Table) else read_image(table)
         with shown(progress, "bytes sent") as tell:
-            return push(self._session(), image, None, tell)
+            return push(self.session(), image, None, tell)
 
     def roll_back(self) -> Pushed:
-        """Return to the previous table.
-
-        Raises:
-            LinkError: the robot has no previous table, or does not answer.
-        """
-        return roll_back(self._session())
+        """Return to the previous table."""
+        return roll_back(self.session())
 
     def own(self, release: bool = False) -> None:
         """Restrict the robot to the commands of its owner, who has the key. It is disarmed.
@@ -111,9 +93,8 @@ class Connection:
 
         Raises:
             InputError: the key's file cannot be read or written.
-            LinkError: the robot has another key, or cannot have one, or does not answer.
         """
-        own(self._session(), release)
+        own(self.session(), release)
 
     def follow(
         self,
@@ -130,10 +111,8 @@ class Connection:
             path: the desired path in the world frame, a shape's name or a path file.
             fixes: a camera, or as for ``run``.
             table: the robot's own table; None: its default table.
-            options: those of ``run``: operator, plan, depth, begin, battery_v, time_limit_s, out and others.
-
-        Raises:
-            FrogkickError: see ``run``.
+            options: those of ``run``, which says what it raises: operator, plan, depth, begin, battery_v,
+                time_limit_s, out and others.
         """
         if isinstance(fixes, Camera):
             options |= {"fixes": str(fixes.calibration), "source": fixes.source}
@@ -240,15 +219,7 @@ def _with_what_it_says(heard: RobotHeard) -> RobotHeard:
 
 
 def require_target(target: str, others: tuple[str, ...] = ()) -> None:
-    """Refuse a target that is no robot.
-
-    Args:
-        target: address of the robot.
-        others: further targets besides ``FORMS``.
-
-    Raises:
-        InputError: an unknown target, or one that needs a package which is not installed.
-    """
+    """Raise InputError for a target that is no robot, or that needs a package which is not installed."""
     if target in others:
         return
     if not is_target(target):
@@ -259,49 +230,30 @@ def require_target(target: str, others: tuple[str, ...] = ()) -> None:
     require_wire(parse_target(target))
 
 
-@contextmanager
-def session_at(target: str, carried: Path | None, key: Path | None = None) -> Iterator[Session]:
-    """Yield a session with a robot.
-
-    Args:
-        target: as for ``require_target``.
-        carried: table that a virtual robot starts with; other robots have their own.
-        key: file of the owner's key.
-
-    Raises:
-        WireError: the robot cannot be reached.
-    """
-    if target != VIRTUAL:
-        if key is not None:
-            read_key(key)
-        with opened(parse_target(target)) as wire:
-            yield lab_session(wire, key)
-        return
-    assert carried is not None
-    with simulated_robot(VIRTUAL, carried, robot_of_table(carried, None)) as port:
-        yield Session(port)
-
-
 def push_table(
     target: str,
-    table: Table | Path | str,
+    table: Path,
     carried: Path | None = None,
     progress: Progress = False,
     key: Path | None = None,
 ) -> Pushed:
-    """Send a table to a robot.
+    """Send a table to a robot, real or virtual.
 
     Args:
         target: address of the robot.
-        table: the table to send, or its file.
+        table: the table to send.
         carried: table that the robot must have now, if given; a virtual robot starts with it.
         progress: of the bytes sent.
         key: file of the owner's key.
-
-    Raises:
-        FrogkickError: see ``Connection.push``.
     """
-    image = table.tables if isinstance(table, Table) else read_image(table)
-    before = None if carried is None else read_image(carried)
-    with session_at(target, carried, key) as session, shown(progress, "bytes sent") as tell:
+    image, before = read_image(table), None if carried is None else read_image(carried)
+    with ExitStack() as stack:
+        if target == VIRTUAL and carried is not None:
+            virtual = simulated_robot(VIRTUAL, carried, robot_of_table(carried))
+            session = Session(stack.enter_context(virtual))
+        else:
+            if key is not None:
+                read_key(key)  # a missing one is an error here
+            session = stack.enter_context(connect(target, key)).session()
+        tell = stack.enter_context(shown(progress, "bytes sent"))
         return push(session, image, before, tell)

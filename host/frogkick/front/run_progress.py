@@ -1,19 +1,26 @@
-"""What a run says in the terminal: its progress, and why its path was missed."""
+"""What a run says in the terminal: progress, why its path was missed, where its log is if it breaks off."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 
-from frogkick.core.progress import Tell
+from frogkick.core.progress import Tell, tell_line
 from frogkick.runs.closed_loop import Recording
 from frogkick.runs.decision import LiveCheck, lost_text
+from frogkick.runs.live_log import CUT_OFF, part_of
 from frogkick.runs.record import CANNOT_FOLLOW, Tracking
 from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog_file import write_run
 from frogkick.runs.summary import bends_of
 from frogkick.tables.image import Tables
+
+Keep = Callable[[Recording], None]
+"""What is told of a recording that grows."""
 
 SLOW_S = 2.0
 FAR_M = 0.01
@@ -45,22 +52,9 @@ class RunProgress:
     """Shows progress along the path, the action, the cost of its plan, and the distance to the path."""
 
     def __init__(
-        self,
-        tell: Tell,
-        points: int,
-        tables: Tables,
-        check: LiveCheck | None,
-        limbs: Sequence[str] = (),
+        self, tell: Tell, points: int, tables: Tables, check: LiveCheck | None, limbs: Sequence[str] = ()
     ) -> None:
-        """Begin a run.
-
-        Args:
-            tell: shows progress, with a note.
-            points: number of points of the path.
-            tables: tables with the names of the actions.
-            check: the live comparison, whose result is shown too; None: there is none.
-            limbs: their names, to tell what they have lost.
-        """
+        """``points``: of the path; ``check``: the live comparison, if there is any; ``limbs``: names."""
         self._tell, self._points, self._check = tell, points, check
         self._limbs = limbs
         self._names = [row.name for row in tables.actions]
@@ -86,12 +80,10 @@ class RunProgress:
         """Show the state after a decision at the nearest path point."""
         if self._recording.then:
             self._points = len(self._recording.then[-1].path)
-        notes = [self._plan(), self._lost(), "" if self._check is None else self._check.text]
-        self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
-
-    def _lost(self) -> str:
         decisions = self._recording.decisions
-        return lost_text(decisions[-1].lost, self._limbs) if decisions else ""
+        lost = lost_text(decisions[-1].lost, self._limbs) if decisions else ""
+        notes = [self._plan(), lost, "" if self._check is None else self._check.text]
+        self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
 
     def _plan(self) -> str:
         if not self._recording.decisions:
@@ -101,3 +93,31 @@ class RunProgress:
             return "no plan"
         name = self._names[newest.action]
         return f"{name} cost {float(newest.cost):.1f}, {1e3 * float(newest.distance_m):.0f} mm off"
+
+
+@contextmanager
+def reports_partial_log(out: Path | None) -> Iterator[None]:
+    """If a run breaks off, print where its log is."""
+    try:
+        yield
+    except BaseException:
+        if out is not None and part_of(out).exists():
+            _report_partial_log(out)
+        raise
+
+
+@contextmanager
+def log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iterator[Keep]:
+    """If a simulated run breaks off, write its log so far beside ``out``."""
+    held: dict[str, Recording] = {}
+    try:
+        yield lambda recording: held.update(newest=recording)
+    except BaseException:
+        if out is not None and held:
+            write_run(part_of(out), replace(log_of(held["newest"]), notes=CUT_OFF))
+            _report_partial_log(out)
+        raise
+
+
+def _report_partial_log(out: Path) -> None:
+    tell_line(f"frogkick: the recording so far is in {str(part_of(out))!r}")

@@ -30,10 +30,17 @@ from frogkick.front.bench import (
     require_film,
     run_on_bench,
 )
-from frogkick.front.holding import hold_json, hold_radius_m, require_room
+from frogkick.front.courses import (
+    Then,
+    clearance_m,
+    hold_json,
+    hold_radius_m,
+    next_paths,
+    require_room,
+    then_json,
+    walled,
+)
 from frogkick.front.html import page_of
-from frogkick.front.next_paths import Then, next_paths, then_json
-from frogkick.front.partial_logs import Keep, log_so_far, reports_partial_log
 from frogkick.front.places import (
     plan_config,
     require_plan,
@@ -42,10 +49,9 @@ from frogkick.front.places import (
     start_pose,
     swim_path,
 )
-from frogkick.front.run_progress import RunProgress
+from frogkick.front.run_progress import Keep, RunProgress, log_so_far, reports_partial_log
 from frogkick.front.tables import Table, load_table
 from frogkick.front.viewing import played, viewed
-from frogkick.front.walls import clearance_m, walled
 from frogkick.link.wire import Wire, is_target
 from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
@@ -82,6 +88,9 @@ if TYPE_CHECKING:
 class Run(RunLog):
     """One closed-loop run: its log, how well the path was followed, and what can be done with it.
 
+    What a run without a decision or a fix cannot tell raises an ``InputError``, as does a file that cannot be
+    written and a package that is not installed.
+
     Attributes:
         robot_id, source, fixes, decisions, strokes, path, then, truth, measured, planner, made: the log's.
         tracked: ``tracking`` as measured during the run; None: it is computed from the log.
@@ -98,11 +107,7 @@ class Run(RunLog):
 
     @cached_property
     def tracking(self) -> Tracking:
-        """Distances to the path (m), progress (m/s), counts.
-
-        Raises:
-            InputError: the run has no decision, or nobody saw the robot.
-        """
+        """Distances to the path (m), progress (m/s), counts."""
         return self.tracked or tracking_of_log(self)
 
     @property
@@ -116,35 +121,19 @@ class Run(RunLog):
         return tuple(self.decided())
 
     def save(self, file: Path | str) -> None:
-        """Write the log (HDF5), which ``load_run`` reads back.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write the log (HDF5), which ``load_run`` reads back."""
         write_run(file, self)
 
     def summary(self) -> Summary:
-        """Return the run in numbers, for logs of any source; unknown values are None.
-
-        Raises:
-            InputError: the run has no decision or no fix.
-        """
+        """Return the run in numbers, for logs of any source; unknown values are None."""
         return summary(self)
 
     def compare(self, other: Run | Path | str) -> Comparison:
-        """Compare this run with another, or its file, each from its first decision on.
-
-        Raises:
-            InputError: one of the runs has no decision or no fix.
-        """
+        """Compare this run with another, or its file, each from its first decision on."""
         return compare_runs(self, run_of(other))
 
     def export_csv(self, folder: Path | str) -> list[Path]:
-        """Write a CSV for each group of columns, units in their names, and ``run.json``; return the files.
-
-        Raises:
-            InputError: the folder cannot be written to.
-        """
+        """Write a CSV for each group of columns, units in their names, and ``run.json``; return the files."""
         return [Path(folder) / name for name in export_csv(self, Path(folder))]
 
     def export_mcap(self, file: Path | str) -> dict[str, int]:
@@ -152,9 +141,6 @@ class Run(RunLog):
 
         Returns:
             The number of messages of each topic.
-
-        Raises:
-            InputError: the file cannot be written, or the package mcap is not installed.
         """
         return export_mcap(self, Path(file))
 
@@ -162,9 +148,6 @@ class Run(RunLog):
         """Return a pandas table for each group of columns of ``export_csv``: fixes, decisions, ...
 
         Units are in the columns' names. Missing values are NaN.
-
-        Raises:
-            InputError: pandas is not installed.
         """
         require("Tables of pandas", *EXTRAS["pandas"])
         from pandas import DataFrame
@@ -180,8 +163,7 @@ class Run(RunLog):
     def play(self, speed: float = 1.0) -> None:
         """Play the run in the browser until its end, the page's button or Ctrl-C; it starts with the page.
 
-        Raises:
-            InputError: the speed is not above 0, or the log holds neither a fix nor a decision.
+        ``speed`` is above 0; 2: twice real time.
         """
         played(self, speed)
 

@@ -23,8 +23,7 @@ import frogkick
 from frogkick.cli.app import COMMANDS, SECTIONS
 from frogkick.cli.main import run_command
 from frogkick.effects import BUILT_IN, law
-from frogkick.robot.schema import RobotFile
-from frogkick.robot.template import ABOUT
+from frogkick.robot.schema import ABOUT, RobotFile, table_in
 from frogkick.runs import runlog
 from frogkick.tables import layout
 from frogkick_codegen import frames
@@ -140,9 +139,8 @@ def robot_keys() -> Iterator[str]:
     head = "| key | allowed | default | meaning, with unit |\n|---|---|---|---|\n"
     yield "### Top level\n\n" + head + "\n".join(_schema_rows(RobotFile, ""))
     for key, field in RobotFile.model_fields.items():
-        kinds = re.findall(r"schema\.(\w+Table)", str(field.annotation))
-        if kinds:
-            kind = getattr(__import__("frogkick.robot.schema", fromlist=["x"]), kinds[0])
+        kind = table_in(field)
+        if kind is not None:
             title = f"[[{key}]]" if "list" in str(field.annotation) else f"[{key}]"
             yield f"### `{title}`\n\n" + head + "\n".join(_schema_rows(kind, key))
 

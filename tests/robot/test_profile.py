@@ -10,8 +10,7 @@ from tests.cli.commands import frogkick
 
 from frogkick.core.errors import InputError
 from frogkick.robot import load_robot
-from frogkick.robot.profile import fit_profile
-from frogkick.robot.profile_files import read_mat, write_profiles
+from frogkick.robot.profile import fit_profile, read_mat, write_profiles
 
 
 def made_up(noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

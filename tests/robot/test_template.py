@@ -14,8 +14,7 @@ from tests.cli.commands import frogkick
 from frogkick.core.errors import InputError
 from frogkick.front.describing import write_new_robot
 from frogkick.robot import built_in_robots, load_robot, robot_warnings
-from frogkick.robot.schema import RobotFile
-from frogkick.robot.template import ABOUT
+from frogkick.robot.schema import ABOUT, RobotFile
 
 
 def keys_of(table: type[BaseModel]) -> set[str]:
@@ -33,6 +32,7 @@ def keys_of(table: type[BaseModel]) -> set[str]:
 
 def test_every_key_of_a_robot_file_is_described() -> None:
     assert keys_of(RobotFile) == set(ABOUT)
+    assert all(about not in ("", "None") for about in ABOUT.values())
 
 
 @pytest.mark.parametrize("base", built_in_robots())

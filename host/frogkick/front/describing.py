@@ -14,8 +14,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 from frogkick.der import Rods, prepare
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
-from frogkick.robot.profile import Profile
-from frogkick.robot.profile_files import Stroke, fit_stroke, read_stroke, write_profiles
+from frogkick.robot.profile import Profile, Stroke, fit_stroke, read_stroke, write_profiles
 from frogkick.robot.template import new_robot_text
 
 if TYPE_CHECKING:

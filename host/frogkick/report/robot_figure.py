@@ -17,8 +17,7 @@ from frogkick.der import prepare
 from frogkick.der.mesh import Mesh
 from frogkick.report import style
 from frogkick.robot import Robot, in_a_row, limb_points
-from frogkick.robot.profile import Profile
-from frogkick.robot.profile_files import Stroke
+from frogkick.robot.profile import Profile, Stroke
 
 
 def robot_figure(robot: Robot) -> Figure:

@@ -32,8 +32,8 @@ def _edge(frame: Frame, index: int) -> Float64:
     return outline_of(frame)[index : index + 2]
 
 
-def require_geometry(frame: Frame, limbs: tuple[Limb, ...], source: str) -> None:
-    """Check that frame and limbs can be built. ``source`` names the robot file in errors.
+def require_geometry(frame: Frame, limbs: tuple[Limb, ...]) -> None:
+    """Check that frame and limbs can be built.
 
     Raises:
         InputError: a segment is too short, the frame crosses itself, or limbs at rest cross themselves, each
@@ -44,45 +44,45 @@ def require_geometry(frame: Frame, limbs: tuple[Limb, ...], source: str) -> None
         length_m = math.dist(*_edge(frame, i))
         if length_m < SEGMENT_MIN_M * frame.segments[i]:
             raise InputError(
-                f"{source}: frame edge {i} of {length_m:.3g} m has {frame.segments[i]} segments: "
+                f"frame edge {i} of {length_m:.3g} m has {frame.segments[i]} segments: "
                 f"make each {SEGMENT_MIN_M:g} m or longer"
             )
         along, before = np.diff(_edge(frame, i), axis=0)[0], np.diff(_edge(frame, (i - 1) % n), axis=0)[0]
         turn_deg = math.degrees(math.atan2(float(_cross(before, along)), float(before @ along)))
         if abs(turn_deg) > TURN_MAX_DEG:
             raise InputError(
-                f"{source}: the frame turns by {turn_deg:.0f} degrees at corner {i}: edges may turn by up to "
+                f"the frame turns by {turn_deg:.0f} degrees at corner {i}: edges may turn by up to "
                 f"{TURN_MAX_DEG:g}, so move the corner"
             )
         for j in range(i):
             if crossings(_edge(frame, i), _edge(frame, j)).any():
                 raise InputError(
-                    f"{source}: frame edges {j} and {i} cross: list frame.corners_m in order round the body"
+                    f"frame edges {j} and {i} cross: list frame.corners_m in order round the body"
                 )
     shapes = [limb_points(frame, limb) for limb in limbs]
     for limb, shape in zip(limbs, shapes, strict=True):
         if limb.length_m < SEGMENT_MIN_M * limb.segments:
             raise InputError(
-                f"{source}: limb {limb.name!r} of {limb.length_m:.3g} m has {limb.segments} segments: "
+                f"limb {limb.name!r} of {limb.length_m:.3g} m has {limb.segments} segments: "
                 f"make each {SEGMENT_MIN_M:g} m or longer"
             )
         if crossings(shape, shape).any():
             raise InputError(
-                f"{source}: limb {limb.name!r} crosses itself at rest: length_m times rest_curvature_per_m "
+                f"limb {limb.name!r} crosses itself at rest: length_m times rest_curvature_per_m "
                 f"is {limb.length_m * abs(limb.rest_curvature_per_m):.2f} rad, a circle 6.28: lower one"
             )
         own = {limb.corner, (limb.corner - 1) % n}
         for i in range(n):
             if i not in own and crossings(shape, _edge(frame, i)).any():
                 raise InputError(
-                    f"{source}: limb {limb.name!r} crosses frame edge {i} at rest: check its corner, "
+                    f"limb {limb.name!r} crosses frame edge {i} at rest: check its corner, "
                     "direction_deg and the sign of rest_curvature_per_m"
                 )
     for i, shape in enumerate(shapes):
         for j in range(i):
             if crossings(shape, shapes[j]).any():
                 raise InputError(
-                    f"{source}: limbs {limbs[j].name!r} and {limbs[i].name!r} cross at rest: check their "
+                    f"limbs {limbs[j].name!r} and {limbs[i].name!r} cross at rest: check their "
                     "corners, direction_deg and lengths"
                 )
 

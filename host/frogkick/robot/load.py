@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -26,6 +25,7 @@ from frogkick.robot.schema import (
     LimbTable,
     ProfileTable,
     RobotFile,
+    table_in,
 )
 from frogkick.robot.shape import Frame, Limb
 from frogkick.robot.toml_text import to_toml
@@ -34,28 +34,18 @@ PIN_MOST_V = 3.0
 """Largest voltage at an analogue input, with the supply of Nordic's kit."""
 
 LIKELY: dict[str, tuple[float, float, str]] = {
-    "corners_m": (0.0, 2.0, "mm"),
-    "length_m": (0.0, 2.0, "mm"),
-    "drag_width_m": (0.0, 2.0, "mm"),
+    **dict.fromkeys(("corners_m", "length_m", "drag_width_m"), (0.0, 2.0, "mm")),
     "section_m2": (0.0, 1e-2, "mm^2"),
     "second_moment_m4": (0.0, 1e-6, "mm^4"),
-    "modulus_rest_pa": (1e3, 1e13, "MPa"),
-    "modulus_active_pa": (1e3, 1e13, "MPa"),
+    **dict.fromkeys(("modulus_rest_pa", "modulus_active_pa"), (1e3, 1e13, "MPa")),
     "mass_per_length_kg_per_m": (0.0, 100.0, "g/m"),
     "added_mass_per_length_kg_per_m": (0.0, 100.0, "g/m"),
     "density_kg_per_m3": (100.0, 3000.0, "g/cm^3"),
     "period_s": (0.02, 120.0, "ms"),
-    "pulse_s": (0.0, 10.0, "ms"),
-    "second_delay_s": (0.0, 60.0, "ms"),
-    "pulse_max_s": (0.0, 10.0, "ms"),
-    "rest_min_s": (0.0, 120.0, "ms"),
-    "fix_fresh_s": (0.0, 60.0, "ms"),
-    "fix_lost_s": (0.0, 120.0, "ms"),
-    "duration_s": (0.0, 120.0, "ms"),
-    "centre_s": (0.0, 120.0, "ms"),
-    "width_s": (0.0, 120.0, "ms"),
-    "forward_mps": (0.0, 10.0, "mm/s"),
-    "left_mps": (0.0, 10.0, "mm/s"),
+    **dict.fromkeys(("pulse_s", "pulse_max_s"), (0.0, 10.0, "ms")),
+    **dict.fromkeys(("second_delay_s", "fix_fresh_s"), (0.0, 60.0, "ms")),
+    **dict.fromkeys(("rest_min_s", "fix_lost_s", "duration_s", "centre_s", "width_s"), (0.0, 120.0, "ms")),
+    **dict.fromkeys(("forward_mps", "left_mps"), (0.0, 10.0, "mm/s")),
 }
 """Key -> plausible limits for a swimmer of 5 mm to 2 m, in the key's unit, and the likely unit of a number
 outside of them."""
@@ -121,10 +111,12 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         table["limb"] = [{**default, **limb} if isinstance(limb, Mapping) else limb for limb in limbs]
     try:
         file_model = RobotFile.model_validate(table)
+        _require_likely(file_model.model_dump())
+        return _robot(file_model, folder)
     except ValidationError as error:
         raise InputError(f"{source}: {_first_error(error)}") from None
-    _require_likely(file_model.model_dump(), source)
-    return _robot(file_model, source, folder)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
 
 
 def _numbers(value: Any) -> list[float]:
@@ -133,14 +125,14 @@ def _numbers(value: Any) -> list[float]:
     return [float(value)]
 
 
-def _require_likely(table: Mapping[str, Any], source: str, where: str = "") -> None:
+def _require_likely(table: Mapping[str, Any], where: str = "") -> None:
     """Raise InputError for a number outside of LIKELY."""
     for key, value in table.items():
         if isinstance(value, Mapping):
-            _require_likely(value, source, f"{where}{key}.")
+            _require_likely(value, f"{where}{key}.")
         elif isinstance(value, list) and value and isinstance(value[0], Mapping) and key != "effect":
             for index, row in enumerate(value):
-                _require_likely(row, source, f"{where}{key}.{row.get('name', index)}.")
+                _require_likely(row, f"{where}{key}.{row.get('name', index)}.")
         elif key in LIKELY:
             least, most, other = LIKELY[key]
             sizes = [abs(number) for number in _numbers(value)]
@@ -148,7 +140,7 @@ def _require_likely(table: Mapping[str, Any], source: str, where: str = "") -> N
                 continue
             limit = f"above {most:g}" if max(sizes) > most else f"below {least:g}"
             raise InputError(
-                f"{source}: {where}{key} is {max(sizes):g}, {limit}, which no small swimmer has: "
+                f"{where}{key} is {max(sizes):g}, {limit}, which no small swimmer has: "
                 f"its unit is in its name, is the number in {other}?"
             )
 
@@ -196,11 +188,7 @@ def _table_at(location: tuple[int | str, ...]) -> type[BaseModel]:
     table: type[BaseModel] = RobotFile
     for part in location[:-1]:
         field = table.model_fields.get(str(part))
-        if field is None:
-            continue
-        for kind in (field.annotation, *get_args(field.annotation)):
-            if inspect.isclass(kind) and issubclass(kind, BaseModel):
-                table = kind
+        table = (field and table_in(field)) or table
     return table
 
 
@@ -230,105 +218,99 @@ def _first_error(error: ValidationError) -> str:
     return f"{where} is {str(first['input'])[:60]!r}: {first['msg'][0].lower()}{first['msg'][1:]}{more}"
 
 
-def _mask(names: list[str], limbs: list[str], where: str, source: str) -> int:
+def _mask(names: list[str], limbs: list[str], where: str) -> int:
     mask = 0
     for name in names:
         if name not in limbs:
-            raise InputError(
-                f"{source}: {where} fires {name!r}, which is not a limb{nearest_name(name, limbs)}"
-            )
+            raise InputError(f"{where} fires {name!r}, which is not a limb{nearest_name(name, limbs)}")
         if mask >> limbs.index(name) & 1:
-            raise InputError(f"{source}: {where} names {name!r} twice: once is enough")
+            raise InputError(f"{where} names {name!r} twice: once is enough")
         mask |= 1 << limbs.index(name)
     return mask
 
 
-def _frame(table: FrameTable, source: str) -> Frame:
+def _frame(table: FrameTable) -> Frame:
     corners = table.corners_m
     n = len(corners)
     if len(table.segments) != n:
-        raise InputError(
-            f"{source}: frame.segments has {len(table.segments)} entries for {n} edges: give each one"
-        )
+        raise InputError(f"frame.segments has {len(table.segments)} entries for {n} edges: give each one")
     area = 0.5 * sum(
         corners[i][0] * corners[(i + 1) % n][1] - corners[(i + 1) % n][0] * corners[i][1] for i in range(n)
     )
     shortest = min(math.dist(corners[i], corners[(i + 1) % n]) for i in range(n))
     if not area > 1e-8 or not shortest > 1e-4:
         raise InputError(
-            f"{source}: frame.corners_m encloses {area:.3g} m^2 with a shortest edge of {shortest:.3g} m: "
+            f"frame.corners_m encloses {area:.3g} m^2 with a shortest edge of {shortest:.3g} m: "
             "list distinct corners counter-clockwise"
         )
     return Frame(**{**table.model_dump(), "corners_m": tuple(corners), "segments": tuple(table.segments)})
 
 
-def _limb(table: LimbTable, corners: int, source: str) -> Limb:
+def _limb(table: LimbTable, corners: int) -> Limb:
     if table.corner >= corners:
-        raise InputError(
-            f"{source}: limb {table.name!r} sits at corner {table.corner}: the last one is {corners - 1}"
-        )
+        raise InputError(f"limb {table.name!r} sits at corner {table.corner}: the last one is {corners - 1}")
     values = table.model_dump()
     values["direction_rad"] = math.radians(values.pop("direction_deg"))
     return Limb(**values)
 
 
-def _profile(table: ProfileTable, source: str) -> Profile:
+def _profile(table: ProfileTable) -> Profile:
     values = table.model_dump()
     lists = ("amplitude_per_m", "centre_s", "width_s")
     if len({len(values[key]) for key in lists}) != 1 or not table.amplitude_per_m:
         raise InputError(
-            f"{source}: profile at {table.egain_percent:g} %, {table.frequency_hz:g} Hz has lists of "
+            f"profile at {table.egain_percent:g} %, {table.frequency_hz:g} Hz has lists of "
             "different lengths: give each term an amplitude, a centre and a width"
         )
     return Profile(**{**values, **{key: tuple(values[key]) for key in lists}})
 
 
-def _box(table: LibraryTable, source: str) -> VelocityBox:
+def _box(table: LibraryTable) -> VelocityBox:
     for axis, (low, high) in table.model_dump().items():
         if not low < high:
-            raise InputError(f"{source}: library.{axis} is [{low}, {high}]: write the lower end first")
+            raise InputError(f"library.{axis} is [{low}, {high}]: write the lower end first")
     low, high = table.omega_deg_s
     return VelocityBox(table.forward_mps, table.left_mps, (math.radians(low), math.radians(high)))
 
 
-def _battery(table: BatteryTable | None, source: str) -> Battery | None:
+def _battery(table: BatteryTable | None) -> Battery | None:
     if table is None:
         return None
     if not table.low_v < table.full_v:
         raise InputError(
-            f"{source}: battery.low_v is {table.low_v:g} V and battery.full_v {table.full_v:g} V: "
+            f"battery.low_v is {table.low_v:g} V and battery.full_v {table.full_v:g} V: "
             "a full one has more than one that is low"
         )
     pin_v = table.full_v / table.divider
     if table.inputs and pin_v > PIN_MOST_V:
         raise InputError(
-            f"{source}: battery.full_v {table.full_v:g} V with battery.divider {table.divider:g} is "
+            f"battery.full_v {table.full_v:g} V with battery.divider {table.divider:g} is "
             f"{pin_v:.3g} V at an input of the chip, which takes {PIN_MOST_V:g} V: give the divider's ratio, "
             "battery over input"
         )
     if len(set(table.inputs)) != len(table.inputs) or len(table.inputs) > table.count:
         raise InputError(
-            f"{source}: battery.inputs are {table.inputs}, battery.count is {table.count}: give one input "
+            f"battery.inputs are {table.inputs}, battery.count is {table.count}: give one input "
             "for each battery that is seen"
         )
     return Battery(**{**table.model_dump(), "inputs": tuple(table.inputs)})
 
 
-def _distinct(names: list[Any], what: str, source: str) -> None:
+def _distinct(names: list[Any], what: str) -> None:
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise InputError(f"{source}: two {what} are called {name!r}: give each its own")
+            raise InputError(f"two {what} are called {name!r}: give each its own")
 
 
-def _robot(file: RobotFile, source: str, folder: Path | None) -> Robot:
+def _robot(file: RobotFile, folder: Path | None) -> Robot:
     limb_names = [limb.name for limb in file.limb]
-    _distinct(limb_names, "limbs", source)
-    _distinct([limb.corner for limb in file.limb], "limbs' corners", source)
-    _distinct([action.name.upper() for action in file.action], "actions", source)
-    _distinct([(p.egain_percent, p.frequency_hz) for p in file.profile], "profiles", source)
-    frame = _frame(file.frame, source)
-    limbs = tuple(_limb(limb, len(frame.corners_m), source) for limb in file.limb)
-    require_geometry(frame, limbs, source)
+    _distinct(limb_names, "limbs")
+    _distinct([limb.corner for limb in file.limb], "limbs' corners")
+    _distinct([action.name.upper() for action in file.action], "actions")
+    _distinct([(p.egain_percent, p.frequency_hz) for p in file.profile], "profiles")
+    frame = _frame(file.frame)
+    limbs = tuple(_limb(limb, len(frame.corners_m)) for limb in file.limb)
+    require_geometry(frame, limbs)
     text = to_toml(file.model_dump(mode="json", exclude_defaults=True))
     robot = Robot(
         id=file.id,
@@ -340,31 +322,28 @@ def _robot(file: RobotFile, source: str, folder: Path | None) -> Robot:
         water_density_kg_per_m3=file.water.density_kg_per_m3,
         egain_percent=file.egain_percent,
         profile_frequency_hz=file.profile_frequency_hz,
-        gait_lead_mask=_mask(file.gait.lead, limb_names, "gait.lead", source),
-        gait_lag_mask=_mask(file.gait.lag, limb_names, "gait.lag", source),
+        gait_lead_mask=_mask(file.gait.lead, limb_names, "gait.lead"),
+        gait_lag_mask=_mask(file.gait.lag, limb_names, "gait.lag"),
         frame=frame,
         limbs=limbs,
         actions=tuple(
             Action(
                 a.name,
-                _mask(a.first, limb_names, f"action {a.name}", source),
-                _mask(a.second, limb_names, f"action {a.name}", source),
+                _mask(a.first, limb_names, f"action {a.name}"),
+                _mask(a.second, limb_names, f"action {a.name}"),
             )
             for a in file.action
         ),
-        profiles=tuple(_profile(p, source) for p in file.profile),
+        profiles=tuple(_profile(p) for p in file.profile),
         velocity_resolution=file.velocity_resolution,
-        library_box=_box(file.library, source),
+        library_box=_box(file.library),
         guard=Guard(**file.guard.model_dump()),
         planner=PlannerDefaults(**file.planner.model_dump()),
-        battery=_battery(file.battery, source),
+        battery=_battery(file.battery),
         effects=tuple(dict(table) for table in file.effect),
         folder=folder,
         toml=text,
         sha256=hashlib.sha256(text.encode("utf-8")).digest(),
     )
-    try:
-        robot.actuation()  # raises if the actions' profile is missing
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from None
+    robot.actuation()  # raises if the actions' profile is missing
     return robot

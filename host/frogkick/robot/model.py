@@ -40,15 +40,7 @@ def in_a_row(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class Guard:
-    """Limits of the limbs that the robot enforces itself.
-
-    Attributes:
-        pulse_max_s, rest_min_s: longest pulse and shortest rest of a limb.
-        duty_max, duty_window_s: largest part of any such time that a limb is on.
-        limbs_at_once_max: largest number of limbs on together.
-        fix_fresh_s, fix_lost_s: largest age of the newest position fix for a pulse of the planner, and before
-            the robot disarms itself.
-    """
+    """Limits of the limbs that the robot enforces itself: keys of ``frogkick.robot.schema.GuardTable``."""
 
     pulse_max_s: float
     rest_min_s: float
@@ -61,16 +53,7 @@ class Guard:
 
 @dataclass(frozen=True)
 class Battery:
-    """The batteries of the limbs. Simulations do not use them.
-
-    Attributes:
-        count: number of batteries.
-        nominal_v: of each.
-        low_v, full_v: of each, at rest: the limit below which no run starts, and the voltage after charging.
-        measure: how a person measures it, in a few words.
-        inputs: analogue inputs of the chip (0 is AIN0), one for each measured battery.
-        divider: volts of a battery for each volt at its input.
-    """
+    """The batteries of the limbs: keys of ``BatteryTable``. Simulations do not use them."""
 
     count: int
     nominal_v: float
@@ -83,13 +66,7 @@ class Battery:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerDefaults(Weights):
-    """Cost and weights of the planner, its depth and its time.
-
-    Attributes:
-        cost: "route" or "paper" (Huang 2022, Eq. 19).
-        depth: depth of the search.
-        plan_time_s: time for a decision on the robot; 0: no limit.
-    """
+    """Cost and weights of the planner, its depth and its time: keys of ``PlannerTable``."""
 
     cost: str
     depth: int

@@ -15,72 +15,49 @@ from frogkick.core.arrays import Float64
 class Frame:
     """The stiff body: a closed polygon of rods, corners counter-clockwise in the body frame.
 
-    Attributes:
-        corners_m: (n)(2) x forward, y left, m.
-        segments: (n) segments of edge i, from corner i to corner i + 1.
-        mass_per_length_kg_per_m: mass, spread over the polygon.
-        added_mass_per_length_kg_per_m: added mass of water (inertia only).
-        stretching_stiffness_n: EA.
-        bending_stiffness_n_m2: EI.
-        drag_width_m: D of the drag law.
-        drag_normal: C_n across the edge, dimensionless.
-        drag_tangential: C_t along the edge, dimensionless.
-        centre_mass_share: share of the mass at the centre of the corners, which resists no turn.
-        centre_mass_at_m: (x, y) of that share from the centre of the corners; set by an effect only.
+    Its fields are the keys of ``frogkick.robot.schema.FrameTable``; the last one is set by effects only.
     """
 
     corners_m: tuple[tuple[float, float], ...]
     segments: tuple[int, ...]
     mass_per_length_kg_per_m: float
-    added_mass_per_length_kg_per_m: float
+    added_mass_per_length_kg_per_m: float  # inertia only
     stretching_stiffness_n: float
     bending_stiffness_n_m2: float
     drag_width_m: float
     drag_normal: float
     drag_tangential: float
     centre_mass_share: float = 0.0
-    centre_mass_at_m: tuple[float, float] = (0.0, 0.0)
+    centre_mass_at_m: tuple[float, float] = (0.0, 0.0)  # of that share, from the centre of the corners
 
 
 @dataclass(frozen=True)
 class Limb:
-    """An actuated rod, rooted at a corner of the frame.
+    """An actuated rod, rooted at a corner of the frame. The order of limbs is the bit order of limb masks.
 
-    Attributes:
-        name: in the TOML's order, which is the bit order of every limb mask.
-        corner: index of its root in Frame.corners_m.
-        clamp: the frame edge at that corner which the root bends against: "previous" or "next".
-        direction_rad: tangent of the limb at its root, body frame, counter-clockwise from forward.
-        length_m, segments: its discretisation.
-        rest_curvature_per_m: at rest, positive for a limb that curls counter-clockwise towards its tip.
-        modulus_rest_pa, modulus_active_pa: Young's modulus E at activation 0 and 1; linear in between.
-        second_moment_m4: I, so that EI = modulus * second_moment.
-        section_m2: A, so that EA = modulus_rest * section.
-        root_stiffness_ratio: bending stiffness at the root over the limb's own at rest.
-        mass_per_length_kg_per_m, added_mass_per_length_kg_per_m: as for the frame.
-        drag_width_m, drag_normal, drag_tangential: as for the frame.
-        plate_mass_per_length_kg_per_m: water that moves with it across but not along it (effect limb_plate).
-        tip_shedding: share of its momentum that the tip leaves behind; see ``frogkick.der.plates``.
+    Its fields are the keys of ``frogkick.robot.schema.LimbTable``; the last two are set by effects only.
     """
 
     name: str
     corner: int
     clamp: str
-    direction_rad: float
+    direction_rad: float  # tangent at its root, body frame, counter-clockwise from forward
     length_m: float
     segments: int
     rest_curvature_per_m: float
-    modulus_rest_pa: float
-    modulus_active_pa: float
-    second_moment_m4: float
-    section_m2: float
-    root_stiffness_ratio: float
+    modulus_rest_pa: float  # at activation 0
+    modulus_active_pa: float  # at activation 1; linear in between
+    second_moment_m4: float  # I, so that EI = modulus * second_moment
+    section_m2: float  # A, so that EA = modulus_rest * section
+    root_stiffness_ratio: float  # bending stiffness at the root over the limb's own at rest
     mass_per_length_kg_per_m: float
     added_mass_per_length_kg_per_m: float
     drag_width_m: float
     drag_normal: float
     drag_tangential: float
+    # water that moves with it across but not along it (effect limb_plate)
     plate_mass_per_length_kg_per_m: float = 0.0
+    # share of its momentum that the tip leaves behind; see frogkick.der.plates
     tip_shedding: float = 0.0
 
 

@@ -26,7 +26,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.der import Gait
 from frogkick.robot import Profile, fit_profile
-from frogkick.robot.profile_files import read_mat
+from frogkick.robot.profile import read_mat
 
 FloatArray = NDArray[np.float64]
 

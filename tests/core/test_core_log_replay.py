@@ -14,9 +14,8 @@ from tests.core.log_rig import RING_BYTES, Log, fetched, robot_with_log
 from tests.core.store_rig import NEW, OLD, crc_of, robot_with_store
 from tests.core.test_core_table_commands import begin_values, send
 
-from frogkick.link.layout import Value, link_layout
+from frogkick.link.layout import Value, link_layout, supervisor
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of
-from frogkick.link.supervisor import supervisor
 from frogkick.runs.chip_log_replay import LATE, TOO_LATE, LogReplay, replay_log
 from frogkick.tables.image import open_image
 from frogkick_codegen.native import build_shared

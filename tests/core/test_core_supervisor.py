@@ -11,8 +11,7 @@ from tests.core.test_core_table_commands import begin_values
 from tests.planner import synthetic
 
 from frogkick.link.frames import hello
-from frogkick.link.layout import link_layout
-from frogkick.link.supervisor import supervisor
+from frogkick.link.layout import link_layout, supervisor
 from frogkick_codegen import frames
 
 RUN = "run: python -m frogkick_codegen.frames"

@@ -7,9 +7,8 @@ from test_hang import armed, firing
 from tests.conftest import from_ci
 from tests.runs import rig
 
-from frogkick.link.layout import link_layout
+from frogkick.link.layout import link_layout, supervisor
 from frogkick.link.log import fetch_log
-from frogkick.link.supervisor import supervisor
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of

@@ -24,7 +24,7 @@ from bleak.exc import (
 )
 
 from frogkick.link.frames import DELIMITER
-from frogkick.link.wire import Delivery, InboxWire, WireError
+from frogkick.link.wire import Delivery, Wire, WireError
 
 SERVICE = "6e400001-b5a3-f393-e0a9-e50e24dcca9e"
 RECEIVE = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
@@ -94,8 +94,13 @@ def listen(scan_s: float) -> list[Heard]:
     return sorted(seen.values(), key=lambda robot: (-robot.signal_dbm, robot.address))
 
 
-class BleWire(InboxWire):
-    """A ``Wire`` over Bluetooth. A robot that drops out is found again by its address and reconnected."""
+class BleWire(Wire):
+    """A wire over Bluetooth. A robot that drops out is found again by its address and reconnected.
+
+    Attributes:
+        address: the robot's on this computer.
+        part_bytes: bytes in one write, as negotiated.
+    """
 
     window = 4  # frames: the robot's receive buffer holds eight
 
@@ -121,8 +126,8 @@ class BleWire(InboxWire):
         self.name = f"ble:{place}"
         self._place, self._scan_s, self._reconnect_s = place, scan_s, reconnect_s
         self._greeting = greeting
-        self._address: str | None = None
-        self._part_bytes = 0
+        self.address: str | None = None
+        self.part_bytes = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
         self._commands: _Queue = asyncio.Queue()
@@ -130,27 +135,17 @@ class BleWire(InboxWire):
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
         try:
-            while not self._inbox.wait_up(1.0):
+            while not self.wait_up(1.0):
                 continue
         except BaseException:
             self.close()
             raise
 
-    @property
-    def address(self) -> str | None:
-        """The robot's address on this computer."""
-        return self._address
-
-    @property
-    def part_bytes(self) -> int:
-        """Bytes in one write, as negotiated."""
-        return self._part_bytes
-
     def send(self, encoded: bytes, how: Delivery) -> None:
         """Send a frame; only the newest fixes wait for the radio."""
         if self._loop is not None and self.is_up:
             with contextlib.suppress(RuntimeError):  # the loop has just ended
-                self._loop.call_soon_threadsafe(self._put, encoded, how)
+                self._loop.call_soon_threadsafe(self._queue, encoded, how)
 
     def close(self) -> None:
         """Disconnect."""
@@ -159,7 +154,7 @@ class BleWire(InboxWire):
                 self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(CONNECT_S)
 
-    def _put(self, encoded: bytes, how: Delivery) -> None:
+    def _queue(self, encoded: bytes, how: Delivery) -> None:
         if how is not Delivery.NEWEST:
             self._commands.put_nowait((encoded, how is Delivery.ACKNOWLEDGED))
             return
@@ -171,7 +166,7 @@ class BleWire(InboxWire):
         try:
             asyncio.run(self._live())
         except Exception as error:
-            self._inbox.fail(explained(error, self._place))
+            self.lost(explained(error, self._place))
 
     async def _live(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -198,7 +193,7 @@ class BleWire(InboxWire):
 
     async def _find(self) -> BLEDevice:
         seen: dict[str, tuple[BLEDevice, str]] = {}
-        wanted = (self._address or self._place).lower()
+        wanted = (self.address or self._place).lower()
         found = asyncio.Event()
 
         def matching(by_address: bool) -> list[BLEDevice]:
@@ -210,7 +205,7 @@ class BleWire(InboxWire):
 
         def heard(device: BLEDevice, advertised: AdvertisementData) -> None:
             seen[device.address] = (device, advertised.local_name or device.name or "")
-            if matching(True) or (self._address is None and matching(False)):
+            if matching(True) or (self.address is None and matching(False)):
                 found.set()
 
         async with BleakScanner(heard, service_uuids=[SERVICE]):
@@ -223,7 +218,7 @@ class BleWire(InboxWire):
                 await asyncio.sleep(LOOK_ROUND_S)
         if by_address := matching(True):
             return by_address[0]
-        named = matching(False) if self._address is None else []
+        named = matching(False) if self.address is None else []
         if len(named) > 1:
             addresses = sorted(device.address for device in named)
             raise _Definite(
@@ -249,11 +244,11 @@ class BleWire(InboxWire):
             receiver = client.services.get_characteristic(RECEIVE)
             if receiver is None:
                 raise BleakCharacteristicNotFoundError(RECEIVE)
-            await client.start_notify(TRANSMIT, lambda _from, data: self._inbox.put(bytes(data)))
+            await client.start_notify(TRANSMIT, lambda _from, data: self.put(bytes(data)))
             self._commands, self._fixes = asyncio.Queue(), asyncio.Queue()
             self._commands.put_nowait((self._greeting, True))
-            self._address = device.address
-            self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
+            self.address = device.address
+            self.part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
             unmixed = asyncio.Lock()
             tasks = [
                 asyncio.create_task(self._write(client, receiver, self._commands, unmixed)),
@@ -261,12 +256,12 @@ class BleWire(InboxWire):
                 asyncio.create_task(gone.wait()),
                 asyncio.create_task(self._stop.wait()),
             ]
-            self._inbox.connected()
+            self.connected()
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
-            self._inbox.lost()
+            self.lost()
             for task in tasks:
                 task.cancel()
             with contextlib.suppress(Exception):  # it may be gone already
@@ -282,7 +277,7 @@ class BleWire(InboxWire):
         """Write the frames of a queue in parts of the negotiated length, without mixing two frames."""
         while True:
             encoded, acknowledged = await queue.get()
-            size = self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
+            size = self.part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
             async with unmixed:
                 if len(encoded) > size:
                     for first in range(0, len(encoded), size):

@@ -1,4 +1,4 @@
-"""The link's layout, read from ``frames.toml``: the fields of each frame."""
+"""The fields of each frame (``frames.toml``); what each event does in each state (``supervisor.toml``)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from functools import cache
 from importlib import resources
 from typing import Any, Protocol
 
+from frogkick.core.errors import FrogkickError
+
+_PLAIN = (
+    "protocol_version", "payload_bytes_max",
+    "status", "state", "fault", "reset", "supply", "owner", "parameter", "learn",
+)  # fmt: skip
 _FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "char16": "16s"}
+
+_TRIES = 5
 
 Value = int | float | str
 Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
@@ -29,6 +37,27 @@ class Requester(Protocol):
 
     def ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float = 1.0) -> list[dict[str, Value]]:
         """Send a command several times and wait for all answers; FrogkickError where one is missing."""
+
+
+def ask_again(
+    link: Requester,
+    name: str,
+    many: Sequence[Arguments],
+    failure: type[FrogkickError],
+    then: str,
+    timeout_s: float = 1.0,
+) -> list[dict[str, Value]]:
+    """Send commands that may be repeated, and again without an answer; ``failure`` where none ever comes."""
+    lost: FrogkickError | None = None
+    for _ in range(_TRIES):
+        try:
+            return link.ask_all(name, many, timeout_s=timeout_s)
+        except FrogkickError as error:
+            lost = error
+    raise failure(
+        f"no answer to {name}, asked {_TRIES} times ({lost}): "
+        f"check the cable or bring the robot nearer, and {then}"
+    )
 
 
 @dataclass(frozen=True)
@@ -134,11 +163,15 @@ class Layout:
 
     def status_name(self, value: int) -> str:
         """Name of a status value; its number where this host does not know it."""
-        return next((name for name, number in self.status.items() if number == value), str(value))
+        return _name_of(self.status, value)
 
     def fault_name(self, value: int) -> str:
         """Name of an internal error; its number where this host does not know it."""
-        return next((name for name, number in self.fault.items() if number == value), str(value))
+        return _name_of(self.fault, value)
+
+
+def _name_of(numbers: dict[str, int], value: int) -> str:
+    return next((name for name, number in numbers.items() if number == value), str(value))
 
 
 ANSWER_BIT = 0x80
@@ -147,18 +180,15 @@ AUTH_BIT = 0x20
 """Set in the type of a command that carries an authentication code."""
 
 
-def _payload(table: dict[str, object], key: str) -> Payload | None:
-    if key not in table:
+def _payload(table: dict[str, Any], kind: str) -> Payload | None:
+    if kind not in table:
         return None
-    prefix = {"command": "", "answer": "answer_", "event": "event_"}[key]
+    prefix = "" if kind == "command" else f"{kind}_"
     repeat = _fields(table.get(f"{prefix}repeat", []))
-    repeat_max = table.get(f"{prefix}repeat_max", 0)
-    assert isinstance(repeat_max, int)
-    return Payload(_fields(table[key]), repeat, repeat_max)
+    return Payload(_fields(table[kind]), repeat, table.get(f"{prefix}repeat_max", 0))
 
 
-def _fields(rows: object) -> tuple[Field, ...]:
-    assert isinstance(rows, list)
+def _fields(rows: list[list[str]]) -> tuple[Field, ...]:
     return tuple(Field(*row) for row in rows)
 
 
@@ -171,11 +201,15 @@ def _record(name: str, tables: dict[str, dict[str, Any]], messages: dict[str, Me
     return RecordType(name, table["id"], table["doc"], payload, table.get("rest", ""), like)
 
 
+def _toml(name: str) -> dict[str, Any]:
+    text = resources.files("frogkick.link").joinpath(name).read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
 @cache
 def link_layout() -> Layout:
     """The layout of ``frames.toml``, read once."""
-    text = resources.files("frogkick.link").joinpath("frames.toml").read_text(encoding="utf-8")
-    raw = tomllib.loads(text)
+    raw = _toml("frames.toml")
     messages = {
         name: Message(
             name,
@@ -188,17 +222,49 @@ def link_layout() -> Layout:
         )
         for name, table in raw["message"].items()
     }
-    return Layout(
-        raw["protocol_version"],
-        raw["payload_bytes_max"],
-        raw["status"],
-        raw["state"],
-        raw["fault"],
-        raw["reset"],
-        raw["supply"],
-        raw["owner"],
-        raw["parameter"],
-        raw["learn"],
-        messages,
-        {name: _record(name, raw["record"], messages) for name in raw["record"]},
-    )
+    records = {name: _record(name, raw["record"], messages) for name in raw["record"]}
+    return Layout(**{key: raw[key] for key in _PLAIN}, messages=messages, records=records)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A cell of the table: next state, action and status of the answer, by name."""
+
+    next_state: str
+    action: str
+    status: str
+
+
+@dataclass(frozen=True)
+class Supervisor:
+    """The state table.
+
+    Attributes:
+        actions: name -> description, in the order of their numbers.
+        docs: event -> description: commands, then others, in the order of their numbers.
+        rules: cell of each event and state.
+    """
+
+    actions: dict[str, str]
+    docs: dict[str, str]
+    rules: dict[tuple[str, str], Rule]
+
+    def number(self, event: str) -> int:
+        """Number of an event; a command's is its frame's id."""
+        return 1 + list(self.docs).index(event)
+
+
+@cache
+def supervisor() -> Supervisor:
+    """The table of ``supervisor.toml``, read once."""
+    raw, layout = _toml("supervisor.toml"), link_layout()
+    docs = {name: cells["doc"] for name, cells in raw["event"].items()}
+    rules = {
+        (name, state): Rule(*cells[state]) for name, cells in raw["event"].items() for state in layout.state
+    }
+    commands = [(message.id, name) for name, message in layout.messages.items() if message.command]
+    assert commands == [(1 + place, name) for place, name in enumerate(list(docs)[: len(commands)])]
+    for rule in rules.values():
+        assert rule.next_state in layout.state and rule.action in raw["action"]
+        assert rule.status in layout.status
+    return Supervisor(raw["action"], docs, rules)

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.layout import Field, RecordType, Requester, Value, link_layout
+from frogkick.link.layout import Field, RecordType, Requester, Value, ask_again, link_layout
 
 HEAD_BYTES = 10
 UNFINISHED = -128
 """Status of a command that the robot did not finish."""
 DAMAGED = "DAMAGED"
 """Name of a record with a wrong check or an unknown number."""
-_TRIES = 5
 _SPAN = 1 << 32  # offsets count modulo this
 _TYPES = {record.id: record for record in link_layout().records.values()}
 _COMMANDS = {message.id: message for message in link_layout().messages.values() if message.command}
@@ -193,20 +192,8 @@ def fetch_log(
 
 
 def _ask(link: Requester, offset: int) -> dict[str, Value]:
-    lost: FrogkickError | None = None
-    for _ in range(_TRIES):
-        try:
-            answer = link.ask_all("LOG", [({"offset": offset}, ())])[0]
-        except FrogkickError as error:
-            lost = error
-            continue
-        status = link_layout().status_name(int(answer["status"]))
-        if status != "OK":
-            raise LogError(
-                f"the robot answers LOG with {status}: its firmware keeps no log; flash a newer one"
-            )
-        return answer
-    raise LogError(
-        f"no answer to LOG, asked {_TRIES} times ({lost}): "
-        "check the cable or bring the robot nearer, and fetch again"
-    )
+    (answer,) = ask_again(link, "LOG", [({"offset": offset}, ())], LogError, "fetch again")
+    status = link_layout().status_name(int(answer["status"]))
+    if status != "OK":
+        raise LogError(f"the robot answers LOG with {status}: its firmware keeps no log; flash a newer one")
+    return answer

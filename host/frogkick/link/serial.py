@@ -11,7 +11,7 @@ from typing import Any
 
 from frogkick.core.extras import require
 from frogkick.link.frames import DELIMITER
-from frogkick.link.wire import BAUD, Delivery, InboxWire, WireError
+from frogkick.link.wire import BAUD, Delivery, Wire, WireError
 
 RECONNECT_S = 20.0
 _AGAIN_S = 0.1
@@ -19,8 +19,8 @@ _READ_S = 0.05
 _WRITE_S = 1.0
 
 
-class SerialWire(InboxWire):
-    """A ``Wire`` over a serial port, which is opened again when a pulled cable is back."""
+class SerialWire(Wire):
+    """A wire over a serial port, which is opened again when a pulled cable is back."""
 
     window = 1  # a chip that erases flash receives no more than a buffer meanwhile
 
@@ -46,7 +46,7 @@ class SerialWire(InboxWire):
         self._closing = threading.Event()
         self._write_lock = threading.Lock()
         self._line: Any = self._open()
-        self._inbox.connected()
+        self.connected()
         self._thread = threading.Thread(target=self._live, name=self.name, daemon=True)
         self._thread.start()
 
@@ -83,13 +83,13 @@ class SerialWire(InboxWire):
                 data = self._line.read(max(1, self._line.in_waiting))
             # A pulled cable is an OSError on some systems, a TypeError on others.
             except (self._serial.SerialException, OSError, TypeError):
-                self._inbox.lost()
+                self.lost()
                 if not self._open_again():
                     return
-                self._inbox.connected()
+                self.connected()
                 continue
             if data:
-                self._inbox.put(bytes(data))
+                self.put(bytes(data))
 
     def _open_again(self) -> bool:
         line, self._line = self._line, None
@@ -102,7 +102,7 @@ class SerialWire(InboxWire):
                 return True
             except WireError as error:
                 if time.monotonic() > deadline_s:
-                    self._inbox.fail(WireError(f"{self.name} went away for {self._reconnect_s:g} s: {error}"))
+                    self.lost(WireError(f"{self.name} went away for {self._reconnect_s:g} s: {error}"))
                     return False
         return False
 

@@ -9,10 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.layout import Arguments, Requester, Value, link_layout
+from frogkick.link.layout import Arguments, Requester, Value, ask_again, link_layout
 
 CHUNK_BYTES = 128
-_TRIES = 5
 _TIMEOUT_S = 2.0  # the first chunk of a page waits for its erase, COMMIT for the check of the table
 
 
@@ -98,19 +97,12 @@ def _ask(
 def _ask_all(
     link: Requester, name: str, many: Sequence[Arguments], allowed: tuple[str, ...]
 ) -> list[dict[str, Value]]:
-    """Send commands, and again without an answer: to repeat these commands is harmless."""
-    lost: FrogkickError | None = None
-    for _ in range(_TRIES):
-        try:
-            answers = link.ask_all(name, many, timeout_s=_TIMEOUT_S)
-        except FrogkickError as error:
-            lost = error
+    """The answers to commands, which it is harmless to repeat."""
+    answers = ask_again(link, name, many, UploadError, "send again", _TIMEOUT_S)
+    for answer in answers:
+        status = link_layout().status_name(int(answer["status"]))
+        if status in allowed:
             continue
-        named = [(link_layout().status_name(int(answer["status"])), answer) for answer in answers]
-        refused = [(status, answer) for status, answer in named if status not in allowed]
-        if not refused:
-            return answers
-        status, answer = refused[0]
         why = f" (fk_error_t {answer['error']})" if answer.get("error") else ""
         raise UploadError(
             f"the robot refuses {name} with {status}{why}: "
@@ -121,7 +113,4 @@ def _ask_all(
                 "UNKNOWN": "its firmware takes no tables by radio; flash it with this table",
             }.get(status, "send again")
         )
-    raise UploadError(
-        f"no answer to {name}, asked {_TRIES} times ({lost}): "
-        "check the cable or bring the robot nearer, and send again"
-    )
+    return answers

@@ -5,14 +5,16 @@ from __future__ import annotations
 import enum
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
+from frogkick.core.extras import require
 from frogkick.core.interrupts import Bell
-from frogkick.link.frames import Frame
+from frogkick.link.frames import DELIMITER, Frame
 
 BAUD = 115_200
 BYTE_S = 10 / BAUD
@@ -61,8 +63,8 @@ class Delivery(enum.Enum):
     """Without acknowledgement and before other frames; dropped for a newer one."""
 
 
-class Wire(Protocol):
-    """Bytes to and from a robot. A thread of the wire reads and reconnects.
+class Wire:
+    """Bytes to and from a robot. A thread of the wire reads and reconnects; what it does not send waits here.
 
     Attributes:
         name: as the user gave it.
@@ -74,31 +76,7 @@ class Wire(Protocol):
     name: str
     window: int
 
-    @property
-    def connections(self) -> int: ...
-
-    @property
-    def is_up(self) -> bool: ...
-
-    def send(self, encoded: bytes, how: Delivery) -> None:
-        """Send a frame with its delimiter; the frame is lost while the wire is down."""
-
-    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
-        """Wait for bytes, and return them with their arrival times (monotonic).
-
-        Raises:
-            WireError: the wire is down and could not be reconnected.
-        """
-
-    def close(self) -> None:
-        """Disconnect."""
-
-
-class Inbox:
-    """Received bytes and state of a wire, passed from its thread to the reader."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._bell = Bell()
         self._arrived: list[tuple[float, bytes]] = []
@@ -106,10 +84,45 @@ class Inbox:
         self.connections = 0
         self.is_up = False
 
+    def send(self, encoded: bytes, how: Delivery) -> None:
+        """Send a frame with its delimiter; the frame is lost while the wire is down."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Disconnect."""
+        raise NotImplementedError
+
+    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
+        """Wait for bytes, and return them with their arrival times (monotonic).
+
+        Raises:
+            WireError: the wire is down and could not be reconnected.
+        """
+        self._bell.wait_for(lambda: self._arrived or self._error is not None, timeout_s)
+        with self._lock:
+            taken, self._arrived = self._arrived, []
+            if not taken and self._error is not None:
+                raise self._error
+            return taken
+
+    def wait_up(self, timeout_s: float) -> bool:
+        """Wait for the wire to be up; False if it is not in time.
+
+        Raises:
+            FrogkickError: as given to ``lost``.
+        """
+        self._bell.wait_for(lambda: self.is_up or self._error is not None, timeout_s)
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            return self.is_up
+
+    # For the thread of the wire
+
     def put(self, data: bytes) -> None:
         """Add received bytes."""
         with self._lock:
-            self._arrived.append((self._clock(), data))
+            self._arrived.append((time.monotonic(), data))
         self._bell.ring()
 
     def connected(self) -> None:
@@ -118,59 +131,11 @@ class Inbox:
             self.is_up, self.connections = True, self.connections + 1
         self._bell.ring()
 
-    def lost(self) -> None:
-        """Report that the wire is down."""
+    def lost(self, error: FrogkickError | None = None) -> None:
+        """Report that the wire is down, or that it stays down by an error."""
         with self._lock:
-            self.is_up = False
+            self.is_up, self._error = False, error or self._error
         self._bell.ring()
-
-    def fail(self, error: FrogkickError) -> None:
-        """Report that the wire stays down."""
-        with self._lock:
-            self.is_up, self._error = False, error
-        self._bell.ring()
-
-    def wait_up(self, timeout_s: float) -> bool:
-        """Wait for the wire to be up; False if it is not in time.
-
-        Raises:
-            FrogkickError: as given to ``fail``.
-        """
-        self._bell.wait_for(lambda: self.is_up or self._error is not None, timeout_s)
-        with self._lock:
-            if self._error is not None:
-                raise self._error
-            return self.is_up
-
-    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
-        """See ``Wire.receive``."""
-        self._bell.wait_for(lambda: self._arrived or self._error is not None, timeout_s)
-        with self._lock:
-            taken, self._arrived = self._arrived, []
-            if not taken and self._error is not None:
-                raise self._error
-            return taken
-
-
-class InboxWire:
-    """The part of a ``Wire`` that reads from an ``Inbox``."""
-
-    def __init__(self) -> None:
-        self._inbox = Inbox()
-
-    @property
-    def connections(self) -> int:
-        """Number of connections so far."""
-        return self._inbox.connections
-
-    @property
-    def is_up(self) -> bool:
-        """Whether it is connected now."""
-        return self._inbox.is_up
-
-    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
-        """See ``Wire.receive``."""
-        return self._inbox.receive(timeout_s)
 
 
 @dataclass(frozen=True)
@@ -215,3 +180,32 @@ def parse_target(text: str) -> Target:
     if not 1200 <= baud <= BAUD_MAX:
         raise InputError(f"robot {text!r} has {baud} bits/s, allowed is 1200 to {BAUD_MAX}: leave it out")
     return Target(kind, port, baud)
+
+
+def require_wire(target: Target) -> None:
+    """Raise InputError unless the package for a kind of wire is installed."""
+    require(f"{target.kind}:", *({"ble": ("bleak",), "serial": ("serial",)}[target.kind]))
+
+
+@contextmanager
+def opened(target: Target, greeting: bytes = DELIMITER) -> Iterator[Wire]:
+    """Open a wire to a robot, and close it at the end. ``greeting`` is sent at each connection.
+
+    Raises:
+        WireError: the robot cannot be reached.
+        InputError: the package for the wire is not installed.
+    """
+    require_wire(target)
+    wire: Wire
+    if target.kind == "ble":
+        from frogkick.link.ble import BleWire
+
+        wire = BleWire(target.place, greeting=greeting)
+    else:
+        from frogkick.link.serial import SerialWire
+
+        wire = SerialWire(target.place, target.baud, greeting=greeting)
+    try:
+        yield wire
+    finally:
+        wire.close()

@@ -15,9 +15,8 @@ from typing import Any
 from frogkick.core.errors import FrogkickError
 from frogkick.core.shared_library import load
 from frogkick.link.frames import pack_raw
-from frogkick.link.layout import link_layout
+from frogkick.link.layout import link_layout, supervisor
 from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record, Stretch, records_of
-from frogkick.link.supervisor import supervisor
 from frogkick.runs.chip_twin import ChipTwin
 from frogkick.runs.decision import Decision
 from frogkick.tables.image import Tables

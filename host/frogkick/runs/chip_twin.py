@@ -21,9 +21,8 @@ from frogkick.estimator.follow import End, Follow
 from frogkick.estimator.track import INSTANTS, Track, _Instant
 from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.link.frames import PATH_POINTS_MAX
-from frogkick.link.layout import link_layout
+from frogkick.link.layout import link_layout, supervisor
 from frogkick.link.log import Record
-from frogkick.link.supervisor import supervisor
 from frogkick.planner.plan import PlanConfig, transitions_within
 from frogkick.runs.decision import RESTING, Decision, DecisionTwin, decision_of_event
 from frogkick.tables.image import Tables

@@ -19,7 +19,6 @@ Nordic, nRF52832 Product Specification, chapter CPU, wait states. Where they giv
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
@@ -64,25 +63,12 @@ LEAST_COST: Final = CostModel(
 
 _MULTIPLE: Final = ("ldm", "stm", "push", "pop", "vldm", "vstm", "vpush", "vpop")
 _FIXED: Final = {
-    "udiv": 12,
-    "sdiv": 12,
-    "mla": 2,
-    "mls": 2,
-    "vdiv": 14,
-    "vsqrt": 14,
-    "vmla": 3,
-    "vmls": 3,
-    "vnmla": 3,
-    "vnmls": 3,
-    "vfma": 3,
-    "vfms": 3,
-    "vfnma": 3,
-    "vfnms": 3,
-    "tbb": 3,
-    "tbh": 3,
-    "dsb": 4,
-    "dmb": 4,
-    "isb": 4,
+    **dict.fromkeys(("udiv", "sdiv"), 12),
+    **dict.fromkeys(("mla", "mls"), 2),
+    **dict.fromkeys(("vdiv", "vsqrt"), 14),
+    **dict.fromkeys(("vmla", "vmls", "vnmla", "vnmls", "vfma", "vfms", "vfnma", "vfnms"), 3),
+    **dict.fromkeys(("tbb", "tbh"), 3),
+    **dict.fromkeys(("dsb", "dmb", "isb"), 4),
 }
 _DOUBLE: Final = ("ldrd", "strd")
 _LOAD_STORE: Final = ("ldr", "str", "vldr", "vstr", "ldrex", "strex")
@@ -96,20 +82,16 @@ def _stem(name: str) -> str:
     return name.split(".")[0]
 
 
-def _is_core(register: int) -> bool:
-    return register in _CORE
-
-
 _CORE: Final = frozenset(range(arm.ARM_REG_R0, arm.ARM_REG_R12 + 1)) | {arm.ARM_REG_SP, arm.ARM_REG_LR}
 
 
 def _words(instruction: Any) -> int:
     """Registers of a transfer of several, a double float register counting twice."""
-    count = 0
-    for operand in instruction.operands:
-        if operand.type == arm.ARM_OP_REG:
-            count += 2 if arm.ARM_REG_D0 <= operand.reg <= arm.ARM_REG_D31 else 1
-    return count
+    return sum(
+        2 if arm.ARM_REG_D0 <= one.reg <= arm.ARM_REG_D31 else 1
+        for one in instruction.operands
+        if one.type == arm.ARM_OP_REG
+    )
 
 
 def _memory(instruction: Any) -> Any:
@@ -147,7 +129,7 @@ def cycles_and_flags(instruction: Any) -> tuple[int, Flag]:
         # A condition may follow the stem ("vdivne"), but vmla must not catch "mla".
         if name.startswith(stem) and len(name) - len(stem) in (0, 2):
             return cycles, flags
-    if name.startswith("vmov") and any(_is_core(one.reg) for one in instruction.operands):
+    if name.startswith("vmov") and any(one.reg in _CORE for one in instruction.operands):
         return 2, flags
     return 1, flags
 
@@ -193,6 +175,8 @@ def _decoded(instruction: Any) -> Decoded:
     elif name.startswith(_MULTIPLE):
         on_stack = name.startswith(("push", "pop", "vp"))
         address = frozenset({arm.ARM_REG_SP if on_stack else instruction.operands[0].reg})
+    doubles = [each - arm.ARM_REG_D0 for each in read if arm.ARM_REG_D0 <= each <= arm.ARM_REG_D15]
+    parts = {arm.ARM_REG_S0 + 2 * double + half for double in doubles for half in (0, 1)}
     cycles, flags = cycles_and_flags(instruction)
     return Decoded(
         instruction.address,
@@ -202,7 +186,7 @@ def _decoded(instruction: Any) -> Decoded:
         guarded=len(name) - 1 if instruction.id == arm.ARM_INS_IT else 0,
         jumps=instruction.group(capstone.CS_GRP_JUMP),
         written=frozenset(written),
-        floats_read=frozenset(_float_parts(read)),
+        floats_read=frozenset(read) | parts,
         address=address,
         gives_float=name.startswith(_FLOAT_ARITHMETIC),
         loads=name.startswith(_LOAD_STORE + _DOUBLE + _MULTIPLE),
@@ -211,9 +195,7 @@ def _decoded(instruction: Any) -> Decoded:
     )
 
 
-@lru_cache(
-    maxsize=1 << 14
-)  # a firmware has some two thousand runs, and most chips of a process have one firmware
+@lru_cache(maxsize=1 << 14)  # a firmware has some two thousand runs, and most chips of a process have one
 def _run(code: bytes) -> tuple[Decoded, ...]:
     """The instructions from the beginning of these bytes to the next branch, 64 at most."""
     reader = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
@@ -239,19 +221,6 @@ def cycles_behind(before: Decoded, instruction: Decoded) -> int:
         return 1 if before.written & instruction.address & _CORE else 0
     pipelined = before.first and instruction.second and not before.written & instruction.address
     return -1 if pipelined and instruction.cycles > 1 else 0
-
-
-def _float_parts(registers: Iterable[int]) -> set[int]:
-    """Registers, with the single ones that a double one is made of."""
-    found = set(registers)
-    for register in tuple(found):
-        if arm.ARM_REG_D0 <= register <= arm.ARM_REG_D15:
-            first = arm.ARM_REG_S0 + 2 * (register - arm.ARM_REG_D0)
-            found |= {first, first + 1}
-    return found
-
-
-_IN_IT: Final = int(Flag.IN_IT)
 
 
 class CostTable:
@@ -282,7 +251,7 @@ class CostTable:
             flags = instruction.flags
             behind = instruction.cycles + (0 if before is None else cycles_behind(before, instruction))
             if in_it:
-                flags |= _IN_IT
+                flags |= int(Flag.IN_IT)
                 in_it -= 1
             elif self.entries[place]:
                 # Known from elsewhere, where what stands before it was not.

@@ -6,10 +6,10 @@ import bisect
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from elftools.common.exceptions import ELFError
@@ -21,21 +21,37 @@ from frogkick.core.files import existing_file
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, ChipError
 
 
+class Symbol(NamedTuple):
+    """A row of the symbol table; ``kind`` without its STT_, functions with their Thumb bit."""
+
+    name: str
+    address: int
+    bytes: int
+    kind: str
+
+
 @dataclass(frozen=True)
 class FirmwareImage:
-    """What goes into the chip.
-
-    Attributes:
-        flash: all 512 KB, erased (0xff) where the firmware has nothing.
-        symbols: addresses by name.
-        functions: (address, name), sorted.
-        sizes: bytes of flash by name, of functions and constants.
-    """
+    """All 512 KB of flash, erased (0xff) where the firmware has nothing, and the symbols."""
 
     flash: bytes
-    symbols: dict[str, int]
-    functions: tuple[tuple[int, str], ...]
-    sizes: dict[str, int]
+    table: tuple[Symbol, ...]
+
+    @cached_property
+    def symbols(self) -> dict[str, int]:
+        """Addresses by name."""
+        return {each.name: each.address for each in self.table}
+
+    @cached_property
+    def functions(self) -> list[tuple[int, str]]:
+        """Address and name of each, sorted."""
+        return sorted((each.address & ~1, each.name) for each in self.table if each.kind == "FUNC")
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of flash by name, of functions and constants."""
+        kept = (each for each in self.table if each.kind in ("FUNC", "OBJECT") and each.address < FLASH_BYTES)
+        return {each.name: each.bytes for each in kept}
 
     @property
     def stack_pointer(self) -> int:
@@ -65,9 +81,7 @@ def load_image(path: Path | str, flash_before: bytes | None = None) -> FirmwareI
     """
     file = existing_file(path, "firmware image")
     flash = bytearray(b"\xff" * FLASH_BYTES)
-    symbols: dict[str, int] = {}
-    functions: list[tuple[int, str]] = []
-    sizes: dict[str, int] = {}
+    symbols: list[Symbol] = []
     try:
         with file.open("rb") as stream:
             elf = ELFFile(stream)
@@ -86,19 +100,13 @@ def load_image(path: Path | str, flash_before: bytes | None = None) -> FirmwareI
                 flash[begin : begin + len(data)] = data
             table: Any = elf.get_section_by_name(".symtab")
             for symbol in table.iter_symbols() if table is not None else ():
-                symbols[symbol.name] = symbol["st_value"]
-                if (
-                    symbol["st_info"]["type"] in ("STT_FUNC", "STT_OBJECT")
-                    and symbol["st_value"] < FLASH_BYTES
-                ):
-                    sizes[symbol.name] = symbol["st_size"]
-                if symbol["st_info"]["type"] == "STT_FUNC":
-                    functions.append((symbol["st_value"] & ~1, symbol.name))
+                kind = symbol["st_info"]["type"].removeprefix("STT_")
+                symbols.append(Symbol(symbol.name, symbol["st_value"], symbol["st_size"], kind))
     except (ELFError, UnicodeDecodeError) as error:
         raise InputError(
             f"firmware image {str(path)!r} is not a whole ELF file ({error}): build it again"
         ) from error
-    image = FirmwareImage(flash_before or bytes(flash), symbols, tuple(sorted(functions)), sizes)
+    image = FirmwareImage(flash_before or bytes(flash), tuple(symbols))
     vector = int.from_bytes(image.flash[4:8], "little")
     if not (RAM_BASE < image.stack_pointer <= RAM_BASE + RAM_BYTES and vector & 1 and vector < FLASH_BYTES):
         raise InputError(

@@ -10,9 +10,9 @@ from typing import Any
 
 import capstone
 from capstone import arm
-from elftools.elf.elffile import ELFFile
 
-from frogkick.pool.chip.bus import ChipError
+from frogkick.pool.chip.bus import FLASH_BYTES, ChipError
+from frogkick.pool.chip.image import load_image
 
 _PC = arm.ARM_REG_PC
 _SP = arm.ARM_REG_SP
@@ -55,23 +55,16 @@ class StackAnalysis:
         self._disassembler.detail = True
         self._names: dict[int, str] = {}
         self._sizes: dict[int, int] = {}
+        image = load_image(elf_path)
+        self._flash = image.flash
         marks: list[tuple[int, bool]] = []
-        self._code: list[tuple[int, bytes]] = []
-        with Path(elf_path).open("rb") as stream:
-            elf = ELFFile(stream)
-            self._code = [
-                (section["sh_addr"], section.data())
-                for section in elf.iter_sections()
-                if section["sh_flags"] & 2 and section["sh_type"] == "SHT_PROGBITS"
-            ]
-            table: Any = elf.get_section_by_name(".symtab")
-            for symbol in table.iter_symbols() if table is not None else ():
-                if symbol["st_info"]["type"] == "STT_FUNC" and symbol["st_size"]:
-                    address = symbol["st_value"] & ~1
-                    self._names.setdefault(address, symbol.name)
-                    self._sizes[address] = max(symbol["st_size"], self._sizes.get(address, 0))
-                elif symbol.name.split(".")[0] in ("$t", "$d"):
-                    marks.append((symbol["st_value"], symbol.name.startswith("$t")))
+        for symbol in image.table:
+            if symbol.kind == "FUNC" and symbol.bytes:
+                address = symbol.address & ~1
+                self._names.setdefault(address, symbol.name)
+                self._sizes[address] = max(symbol.bytes, self._sizes.get(address, 0))
+            elif symbol.name.split(".")[0] in ("$t", "$d"):
+                marks.append((symbol.address, symbol.name.startswith("$t")))
         self._marks = sorted(marks)
         self._frames: dict[int, _Frame] = {}
 
@@ -131,19 +124,8 @@ class StackAnalysis:
 
     def _pointed_at(self) -> list[int]:
         """Functions that a pointer may call: their address is a word in flash after the vectors."""
-        found = set()
-        for address, data in self._code:
-            for at in range(-address % 4, len(data) - 3, 4):
-                word = struct.unpack_from("<I", data, at)[0]
-                if address + at >= 64 and word & 1 and word & ~1 in self._names:
-                    found.add(word & ~1)
-        return sorted(found)
-
-    def _bytes(self, address: int, size: int) -> bytes:
-        for begin, data in self._code:
-            if begin <= address < begin + len(data):
-                return data[address - begin : address - begin + size]
-        raise ChipError(f"there is no code at 0x{address:08x}")
+        words = struct.unpack(f"<{FLASH_BYTES // 4}I", self._flash)[16:]
+        return sorted({word & ~1 for word in words if word & 1 and word & ~1 in self._names})
 
     def _is_code(self, address: int) -> bool:
         code = True
@@ -164,7 +146,7 @@ class StackAnalysis:
             while stop < end and self._is_code(stop):
                 stop += 2
             # All at once, as the condition of an instruction is in the IT before it.
-            for decoded in self._disassembler.disasm(self._bytes(address, stop - address), address):
+            for decoded in self._disassembler.disasm(self._flash[address:stop], address):
                 found[address] = decoded
                 address += decoded.size
             if address < stop:
@@ -266,7 +248,7 @@ class StackAnalysis:
         size = 2 if one.mnemonic.startswith("tbh") else 1
         begin = at = one.address + one.size
         while not self._is_code(at):
-            entry = int.from_bytes(self._bytes(at, size), "little")
+            entry = int.from_bytes(self._flash[at : at + size], "little")
             if begin + 2 * entry in code:
                 yield begin + 2 * entry
             at += size

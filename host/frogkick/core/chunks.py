@@ -47,19 +47,14 @@ _ADDRESS = re.compile(r"(?:(?:tcp|tls)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:\[\]@]+):
 
 @dataclass(frozen=True)
 class Job(Generic[Ready, Task, Result]):
-    """The part that all chunks of one piece of work share.
+    """The part that all chunks of one piece of work share."""
 
-    Attributes:
-        start: function of a module that prepares the work from ``given``, once in each process.
-        given: its arguments. They and the tasks are pickled.
-        run: function of a module that runs one chunk.
-        warm: compiles the functions of a chunk. It is called here before a pool starts: forked workers
-            inherit the result, others find it in numba's cache.
-    """
-
+    # function of a module that prepares the work from ``given``, once in each process
     start: Callable[..., Ready]
-    given: tuple[Any, ...]
-    run: Callable[[Ready, Task], Result]
+    given: tuple[Any, ...]  # its arguments. They and the tasks are pickled.
+    run: Callable[[Ready, Task], Result]  # function of a module that runs one chunk
+    # compiles the functions of a chunk. It is called here before a pool starts: forked workers inherit the
+    # result, others find it in numba's cache.
     warm: Callable[[Ready], object]
 
 

@@ -1,4 +1,7 @@
-"""Files that are written completely or not at all, input files that are checked, and the cache folder."""
+"""Files that are written completely or not at all, input files that are checked, and the cache folder.
+
+What cannot be read, written or made is an ``InputError``.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,6 @@ def existing_file(path: Path | str, what: str) -> Path:
 
     Args:
         what: kind of file, for the error text ("table image").
-
-    Raises:
-        InputError: no path, or the file is missing, a folder, or empty.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"{what} is given as {type(path).__name__}: give a file's name")
@@ -46,9 +46,6 @@ def csv_numbers(
         what: kind of file, for the error text.
         needed: columns whose numbers must be finite.
         optional: further columns; NaN if the column or the cell is missing.
-
-    Raises:
-        InputError: no such file, no text, no rows, or a missing column or number, with its line.
     """
     file, name = existing_file(path, what), f"{what} {str(path)!r}"
     values = []
@@ -75,11 +72,7 @@ def csv_numbers(
 
 
 def require_writable(out: Path | None, folder: bool = False) -> None:
-    """Raise an error if --out cannot be written, before the work begins. Nothing is written.
-
-    Raises:
-        InputError: a folder instead of a file, a file instead of a folder, or a place that cannot be written.
-    """
+    """Raise an error if --out cannot be written, before the work begins. Nothing is written."""
     if out is None:
         return
     if folder and out.exists() and not out.is_dir():
@@ -97,11 +90,7 @@ def require_writable(out: Path | None, folder: bool = False) -> None:
 
 @contextmanager
 def sole_writer(out: Path | None) -> Iterator[None]:
-    """Refuse a file that another process is going to write, as long as the context lives.
-
-    Raises:
-        InputError: another process holds it.
-    """
+    """Refuse a file that another process is going to write, as long as the context lives."""
     try:
         import fcntl
     except ImportError:  # Windows: the last one wins
@@ -138,9 +127,6 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``, which is renamed to it on success and removed on any error.
 
     Folders that were created for it are removed as well.
-
-    Raises:
-        InputError: no path, a folder, or a place that cannot be written or is full.
     """
     if not isinstance(target, str | os.PathLike):
         raise InputError(f"file to write is given as {type(target).__name__}: give its name")
@@ -186,11 +172,7 @@ def write_text(target: Path | str, content: str) -> None:
 
 
 def require_room(target: Path | str, size: int) -> None:
-    """Raise an error if the disk has no room for a file of ``size`` bytes.
-
-    Raises:
-        InputError: not enough room, or a place that cannot be written.
-    """
+    """Raise an error if the disk has no room for a file of ``size`` bytes."""
     with atomic_path(target) as temporary:
         free = shutil.disk_usage(temporary.parent).free
         if free < size:
@@ -207,9 +189,6 @@ def one_at_a_time(folder: Path, name: str) -> Iterator[Path]:
     Args:
         folder: folder in which it is made.
         name: name of the result; the same name gives the same folder.
-
-    Raises:
-        OSError: it cannot be made.
     """
     try:
         import fcntl
@@ -232,9 +211,6 @@ def cache_folder(name: str = "") -> Path:
 
     Args:
         name: name of a folder inside it.
-
-    Raises:
-        InputError: it cannot be made.
     """
     given = os.environ.get("FROGKICK_CACHE_DIR")
     if given:
@@ -271,11 +247,7 @@ def _problem_with(folder: Path) -> str:
 
 
 def _private_folder() -> Path:
-    """Return a folder in the temporary folder that only this user can write: its files are loaded as code.
-
-    Raises:
-        InputError: the folder exists and others may write to it.
-    """
+    """Return a folder in the temporary folder that only this user can write: its files are loaded as code."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"frogkick-{user}"
     with suppress(FileExistsError):

@@ -1,6 +1,8 @@
 """The host's side of an authenticated conversation with a robot that has an owner's key.
 
 The protocol is described in ``firmware/core/fk_auth.h``. Codes are HMAC-SHA-256 (RFC 2104), cut to 8 bytes.
+
+A file that is no key, or cannot be read or written, is an ``InputError``.
 """
 
 from __future__ import annotations
@@ -75,11 +77,7 @@ def default_key_file() -> Path:
 
 
 def read_key(file: Path) -> bytes:
-    """An owner's key from its file: 64 hexadecimal digits.
-
-    Raises:
-        InputError: no such file, or not a key.
-    """
+    """An owner's key from its file: 64 hexadecimal digits."""
     try:
         text = file.read_text(encoding="ascii").strip()
         key = bytes.fromhex(text)
@@ -98,11 +96,7 @@ def read_key(file: Path) -> bytes:
 
 
 def make_key(file: Path) -> bytes:
-    """Make an owner's key and write it to a file that only this user may read.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Make an owner's key and write it to a file that only this user may read."""
     key = secrets.token_bytes(KEY_BYTES)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,7 @@
-"""The link over Bluetooth LE: the Nordic UART Service with bleak, in a thread with its own event loop."""
+"""The link over Bluetooth LE: the Nordic UART Service with bleak, in a thread with its own event loop.
+
+What goes wrong is a ``WireError`` with its cause and what to do: adapter, permission, robot or firmware.
+"""
 
 from __future__ import annotations
 
@@ -49,25 +52,15 @@ _DEFINITE = (
 
 @dataclass(frozen=True)
 class Heard:
-    """A robot that advertises.
+    """A robot that advertises."""
 
-    Attributes:
-        name: advertised name, or "".
-        address: its address on this computer.
-        signal_dbm: strength of the last advertisement.
-    """
-
-    name: str
-    address: str
-    signal_dbm: int
+    name: str  # advertised name, or ""
+    address: str  # its address on this computer
+    signal_dbm: int  # strength of the last advertisement
 
 
 def listen(scan_s: float) -> list[Heard]:
-    """Robots that advertise within a time, the strongest first, without connecting to them.
-
-    Raises:
-        WireError: no adapter, no permission.
-    """
+    """Robots that advertise within a time, the strongest first, without connecting to them."""
     seen: dict[str, Heard] = {}
     failed: list[Exception] = []
 
@@ -118,9 +111,6 @@ class BleWire(Wire):
             scan_s: longest time to find it.
             reconnect_s: longest time to find it again after it dropped out.
             greeting: sent at each connection; ends what a partial frame left in the robot's receiver.
-
-        Raises:
-            WireError: no adapter, no permission, no such robot, several of them, or other firmware.
         """
         super().__init__()
         self.name = f"ble:{place}"

@@ -1,4 +1,7 @@
-"""Frames: payloads with CRC-32 in COBS, packed, unpacked, and collected from a byte stream."""
+"""Frames: payloads with CRC-32 in COBS, packed, unpacked, and collected from a byte stream.
+
+What does not fit its frame is an ``InputError``; bytes that are no frame are a ``FrameError``.
+"""
 
 from __future__ import annotations
 
@@ -52,10 +55,6 @@ def pack_frame(
         values: value of each fixed field, and of the bytes at an answer's end, if any.
         rows: repeated rows of a command, in the field order of the layout.
         auth: authentication codes, for a robot that has an owner's key.
-
-    Raises:
-        InputError: a value does not fit its field, a field is missing or unknown, or there is no such
-            message, kind or sequence.
     """
     messages = link_layout().messages
     if name not in messages:
@@ -106,11 +105,7 @@ def _wire_value(value: Value, room: int) -> int | float | bytes:
 
 
 def unpack_frame(encoded: bytes) -> Frame:
-    """Decode one frame (without its delimiter).
-
-    Raises:
-        FrameError: not COBS, too short, wrong CRC, unknown type, or a length that does not fit the type.
-    """
+    """Decode one frame (without its delimiter)."""
     try:
         raw = bytes(cobs.decode(encoded))
     except cobs.DecodeError as error:
@@ -187,9 +182,6 @@ def path_frames(
 
     Args:
         points: (x_m, y_m, tangent_rad) of each point, world frame, 2 to 100 of them.
-
-    Raises:
-        InputError: fewer or more points.
     """
     payload = link_layout().messages["PATH"].command
     assert payload is not None

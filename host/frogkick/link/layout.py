@@ -111,11 +111,7 @@ class Payload:
 
 @dataclass(frozen=True)
 class Message:
-    """A type of frame: a command with its answer, or an event.
-
-    Attributes:
-        needs_code: a robot with an owner's key takes it only with an authentication code.
-    """
+    """A type of frame: a command with its answer, or an event."""
 
     name: str
     id: int
@@ -123,25 +119,19 @@ class Message:
     command: Payload | None
     answer: Payload | None
     event: Payload | None
-    needs_code: bool = False
+    needs_code: bool = False  # a robot with an owner's key takes it only with an authentication code
 
 
 @dataclass(frozen=True)
 class RecordType:
-    """A type of record of the robot's log.
-
-    Attributes:
-        payload: its fields.
-        rest: what follows the fields; "": nothing.
-        like: event or record with the same fields; "": none.
-    """
+    """A type of record of the robot's log."""
 
     name: str
     id: int
     doc: str
-    payload: Payload
-    rest: str
-    like: str
+    payload: Payload  # its fields
+    rest: str  # what follows the fields; "": nothing
+    like: str  # event or record with the same fields; "": none
 
 
 @dataclass(frozen=True)
@@ -237,17 +227,11 @@ class Rule:
 
 @dataclass(frozen=True)
 class Supervisor:
-    """The state table.
+    """The state table."""
 
-    Attributes:
-        actions: name -> description, in the order of their numbers.
-        docs: event -> description: commands, then others, in the order of their numbers.
-        rules: cell of each event and state.
-    """
-
-    actions: dict[str, str]
-    docs: dict[str, str]
-    rules: dict[tuple[str, str], Rule]
+    actions: dict[str, str]  # name -> description, in the order of their numbers
+    docs: dict[str, str]  # event -> description: commands, then others, in the order of their numbers
+    rules: dict[tuple[str, str], Rule]  # cell of each event and state
 
     def number(self, event: str) -> int:
         """Number of an event; a command's is its frame's id."""

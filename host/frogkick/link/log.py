@@ -1,4 +1,7 @@
-"""The robot's log: fetched from its RAM with LOG, and split into the records of ``frames.toml``."""
+"""The robot's log: fetched from its RAM with LOG, and split into the records of ``frames.toml``.
+
+A robot that keeps no log, or does not answer, is a ``LogError``.
+"""
 
 from __future__ import annotations
 
@@ -34,15 +37,11 @@ class Stretch:
 
 @dataclass(frozen=True)
 class ChipLog:
-    """A fetched log.
+    """A fetched log."""
 
-    Attributes:
-        stretches: in order; the records between two of them were overwritten before they were fetched.
-        lost: number of records that the robot has overwritten since its log began.
-    """
-
+    # in order; the records between two of them were overwritten before they were fetched
     stretches: tuple[Stretch, ...] = ()
-    lost: int = 0
+    lost: int = 0  # number of records that the robot has overwritten since its log began
 
     @property
     def end(self) -> int:
@@ -59,19 +58,12 @@ class ChipLog:
 
 @dataclass(frozen=True)
 class Record:
-    """A record.
+    """A record."""
 
-    Attributes:
-        offset: of its first byte.
-        name: in ``frames.toml``, or DAMAGED.
-        time_us: the robot's clock.
-        content: fields and what follows them.
-    """
-
-    offset: int
-    name: str
-    time_us: int
-    content: bytes
+    offset: int  # of its first byte
+    name: str  # in ``frames.toml``, or DAMAGED
+    time_us: int  # the robot's clock
+    content: bytes  # fields and what follows them
 
     @property
     def type(self) -> RecordType:
@@ -164,9 +156,6 @@ def fetch_log(
 
     Returns:
         ``known`` and the new records, in another stretch where records in between were overwritten.
-
-    Raises:
-        LogError: the robot keeps no log, or does not answer.
     """
     stretches = list(known.stretches) if known is not None else []
     offset = known.end if known is not None else 0

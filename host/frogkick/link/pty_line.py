@@ -1,4 +1,7 @@
-"""A serial port that leads to a robot in this program: a pseudo-terminal, whose cable can be pulled."""
+"""A serial port that leads to a robot in this program: a pseudo-terminal, whose cable can be pulled.
+
+A name that cannot be used, or a system without pseudo-terminals, is an ``InputError``.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +33,7 @@ class Listener(Protocol):
 
 
 def require_pseudo_terminals() -> None:
-    """Refuse a system that has none.
-
-    Raises:
-        InputError: this is Windows.
-    """
+    """Refuse a system that has none."""
     if sys.platform == "win32":
         raise InputError(
             "Windows has no pseudo-terminals, which a simulated robot's serial port is: use Linux, macOS or "
@@ -85,11 +84,7 @@ class PtyLine:
         return self._ends is not None
 
     def plug_in(self) -> None:
-        """Make a new pseudo-terminal, under the old name if it has one of its own.
-
-        Raises:
-            InputError: the link's name is taken, or cannot be made.
-        """
+        """Make a new pseudo-terminal, under the old name if it has one of its own."""
         import tty  # not on Windows
 
         if self._link is not None and self._link.exists() and not self._link.is_symlink():

@@ -1,4 +1,7 @@
-"""The link over a serial line: a development kit's USB port, or an adapter at the robot's UART."""
+"""The link over a serial line: a development kit's USB port, or an adapter at the robot's UART.
+
+A port that does not open is a ``WireError``.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +37,6 @@ class SerialWire(Wire):
             baud: bits per second.
             reconnect_s: longest time to reconnect.
             greeting: sent at each connection; ends what noise may have left in the robot's receiver.
-
-        Raises:
-            WireError: no such port, no permission, or another program has it.
-            InputError: the package is not installed.
         """
         super().__init__()
         self.name = f"serial:{port}"

@@ -3,6 +3,8 @@
 Two lines are known: ``p 80`` sets the pulse's length in ms, ``h 0 1`` fires limbs together (front left 0,
 front right 1, rear left 2, rear right 3). Assumed: a line ends with a newline, answers are ignored, and a
 pulse cannot be ended early. Source: Huang, Patterson et al. 2022.
+
+What it cannot say is an ``InputError``.
 """
 
 from __future__ import annotations
@@ -26,11 +28,7 @@ def require_dialect(name: str) -> None:
 
 
 def limb_numbers(names: Sequence[str]) -> tuple[int, ...]:
-    """The dialect's number of each limb, by the limbs' names.
-
-    Raises:
-        InputError: the dialect does not know a limb.
-    """
+    """The dialect's number of each limb, by the limbs' names."""
     unknown = [name for name in names if name not in LIMBS]
     if unknown:
         raise InputError(
@@ -41,11 +39,7 @@ def limb_numbers(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def pulse_line(pulse_us: int) -> bytes:
-    """The line that sets the pulse's length.
-
-    Raises:
-        InputError: not a whole number of milliseconds.
-    """
+    """The line that sets the pulse's length."""
     if pulse_us % 1000:
         raise InputError(
             f"the table's pulse is {pulse_us} us, dialect frog2022 takes whole ms: build it with another"

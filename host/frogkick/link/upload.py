@@ -21,17 +21,11 @@ class UploadError(FrogkickError):
 
 @dataclass(frozen=True)
 class Uploaded:
-    """Result of an upload.
+    """Result of an upload."""
 
-    Attributes:
-        bytes_sent: of the image, without what the robot had already.
-        resumed_at: offset of the first chunk sent.
-        table_crc: CRC-32 of the table that the robot uses now.
-    """
-
-    bytes_sent: int
-    resumed_at: int
-    table_crc: int
+    bytes_sent: int  # of the image, without what the robot had already
+    resumed_at: int  # offset of the first chunk sent
+    table_crc: int  # CRC-32 of the table that the robot uses now
 
 
 def upload(

@@ -1,4 +1,7 @@
-"""Bytes to and from a real robot over a wire that may drop and reconnects by itself."""
+"""Bytes to and from a real robot over a wire that may drop and reconnects by itself.
+
+A robot that cannot be reached is a ``WireError``, an address that cannot be used an ``InputError``.
+"""
 
 from __future__ import annotations
 
@@ -93,11 +96,7 @@ class Wire:
         raise NotImplementedError
 
     def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
-        """Wait for bytes, and return them with their arrival times (monotonic).
-
-        Raises:
-            WireError: the wire is down and could not be reconnected.
-        """
+        """Wait for bytes, and return them with their arrival times (monotonic)."""
         self._bell.wait_for(lambda: self._arrived or self._error is not None, timeout_s)
         with self._lock:
             taken, self._arrived = self._arrived, []
@@ -106,11 +105,7 @@ class Wire:
             return taken
 
     def wait_up(self, timeout_s: float) -> bool:
-        """Wait for the wire to be up; False if it is not in time.
-
-        Raises:
-            FrogkickError: as given to ``lost``.
-        """
+        """Wait for the wire to be up; False if it is not in time."""
         self._bell.wait_for(lambda: self.is_up or self._error is not None, timeout_s)
         with self._lock:
             if self._error is not None:
@@ -153,11 +148,7 @@ def is_target(text: str) -> bool:
 
 
 def parse_target(text: str) -> Target:
-    """Read ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
-
-    Raises:
-        InputError: another form, or a speed out of its limits.
-    """
+    """Read ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``."""
     kind, _, place = text.partition(":")
     if kind not in KINDS or not place:
         hint = "" if kind in KINDS else nearest_name(kind, KINDS)
@@ -189,12 +180,7 @@ def require_wire(target: Target) -> None:
 
 @contextmanager
 def opened(target: Target, greeting: bytes = DELIMITER) -> Iterator[Wire]:
-    """Open a wire to a robot, and close it at the end. ``greeting`` is sent at each connection.
-
-    Raises:
-        WireError: the robot cannot be reached.
-        InputError: the package for the wire is not installed.
-    """
+    """Open a wire to a robot, and close it at the end. ``greeting`` is sent at each connection."""
     require_wire(target)
     wire: Wire
     if target.kind == "ble":

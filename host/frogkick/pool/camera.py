@@ -13,31 +13,20 @@ from frogkick.core.poses import Fix, wrap_angle
 
 @dataclass(frozen=True)
 class Camera:
-    """Rate, delay, noise and faults of the fixes. The defaults were measured on the paper's recorded runs.
+    """Rate, delay, noise and faults of the fixes. The defaults were measured on the paper's recorded runs."""
 
-    Attributes:
-        rate_hz: fixes per second (every second frame of a 30 Hz camera was logged).
-        delay_s: from capture to arrival at the robot; the recorded label-to-motion time of 0.07 to 0.09 s.
-        position_noise_m: standard deviation of each coordinate, measured at rest.
-        heading_noise_rad: standard deviation of the heading, measured at rest.
-        jitter_s: largest additional delay, uniformly distributed.
-        lost: share of pictures without a fix.
-        doubled: share of fixes that arrive twice, the second time up to 0.2 s later with an unchanged age.
-        held: share of fixes that arrive after those of the next two pictures.
-        outliers: share of wrong fixes.
-        outlier_m: largest error of a wrong fix in each coordinate; its heading is random.
-    """
-
-    rate_hz: float = 15.0
+    rate_hz: float = 15.0  # fixes per second (every second frame of a 30 Hz camera was logged)
+    # from capture to arrival at the robot; the recorded label-to-motion time of 0.07 to 0.09 s
     delay_s: float = 0.08
-    position_noise_m: float = 0.2e-3
-    heading_noise_rad: float = float(np.deg2rad(0.2))
-    jitter_s: float = 0.0
-    lost: float = 0.0
+    position_noise_m: float = 0.2e-3  # standard deviation of each coordinate, measured at rest
+    heading_noise_rad: float = float(np.deg2rad(0.2))  # standard deviation of the heading, measured at rest
+    jitter_s: float = 0.0  # largest additional delay, uniformly distributed
+    lost: float = 0.0  # share of pictures without a fix
+    # share of fixes that arrive twice, the second time up to 0.2 s later with an unchanged age
     doubled: float = 0.0
-    held: float = 0.0
-    outliers: float = 0.0
-    outlier_m: float = 0.5
+    held: float = 0.0  # share of fixes that arrive after those of the next two pictures
+    outliers: float = 0.0  # share of wrong fixes
+    outlier_m: float = 0.5  # largest error of a wrong fix in each coordinate; its heading is random
 
     def __post_init__(self) -> None:
         limits = {

@@ -44,19 +44,12 @@ def kept_wear(table_crc: int, lost: Sequence[int]) -> bytes:
 
 @dataclass(frozen=True)
 class CoreCall:
-    """A turn of the core with its results, which another build of the core can repeat.
+    """A turn of the core with its results, which another build of the core can repeat."""
 
-    Attributes:
-        now_us: the robot's clock.
-        frame: encoded frame that arrived, or b""; a tick follows.
-        outputs: limb mask, all off, pulse us, next tick us.
-        stream: bytes that the core sent.
-    """
-
-    now_us: int
-    frame: bytes
-    outputs: tuple[int, int, int, int]
-    stream: bytes
+    now_us: int  # the robot's clock
+    frame: bytes  # encoded frame that arrived, or b""; a tick follows
+    outputs: tuple[int, int, int, int]  # limb mask, all off, pulse us, next tick us
+    stream: bytes  # bytes that the core sent
 
 
 class NativeRobot:

@@ -18,17 +18,11 @@ from frogkick.robot import Robot
 
 @dataclass
 class Truth:
-    """True motion, a row for each camera picture, which no planner sees.
+    """True motion, a row for each camera picture, which no planner sees."""
 
-    Attributes:
-        time_s: pool time of each row.
-        pose_world: x_m, y_m, heading_rad of each row.
-        velocity_body: vx_mps, vy_mps, omega_rad_s of each row.
-    """
-
-    time_s: list[float] = field(default_factory=list)
-    pose_world: list[Float64] = field(default_factory=list)
-    velocity_body: list[Float64] = field(default_factory=list)
+    time_s: list[float] = field(default_factory=list)  # pool time of each row
+    pose_world: list[Float64] = field(default_factory=list)  # x_m, y_m, heading_rad of each row
+    velocity_body: list[Float64] = field(default_factory=list)  # vx_mps, vy_mps, omega_rad_s of each row
 
 
 class Pool:

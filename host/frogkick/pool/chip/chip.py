@@ -1,4 +1,7 @@
-"""The virtual chip: unicorn for the instructions, this package for time and peripherals."""
+"""The virtual chip: unicorn for the instructions, this package for time and peripherals.
+
+What cannot be done, or is not modelled, is a ``ChipError``.
+"""
 
 from __future__ import annotations
 
@@ -55,10 +58,6 @@ class VirtualChip:
             elf_path: ELF linked with firmware/bench/nrf52832.ld.
             cost: cycle model; None: the default.
             flash: ``flash.content()`` of a chip without power; None: the ELF's.
-
-        Raises:
-            InputError: not a firmware for this chip.
-            ChipError: the cycle counter cannot be compiled.
         """
         self._cost = cost or CostModel()
         self._image = load_image(elf_path, flash)
@@ -165,9 +164,6 @@ class VirtualChip:
         Args:
             data: the bytes.
             at_us: time of the first start bit, not before ``time_us``.
-
-        Raises:
-            ChipError: that time is past.
         """
         cycle = round(at_us * CYCLES_PER_US)
         if cycle < self.cycles:
@@ -185,22 +181,14 @@ class VirtualChip:
         return [(cycle / CYCLES_PER_US, pin, level) for cycle, pin, level in taken]
 
     def stack_high_water_bytes(self) -> int:
-        """The largest used stack, by the pattern that the startup code writes.
-
-        Raises:
-            ChipError: the firmware has no fk_stack_bottom and fk_stack_top.
-        """
+        """The largest used stack, by the pattern that the startup code writes."""
         bottom, top = self.symbol("fk_stack_bottom"), self.symbol("fk_stack_top")
         stack = self.ram_read(bottom, top - bottom)
         free = next((at for at in range(0, len(stack), 4) if stack[at : at + 4] != _STACK_PAINT), len(stack))
         return top - bottom - free
 
     def symbol(self, name: str) -> int:
-        """Address of a symbol of the firmware.
-
-        Raises:
-            ChipError: no such symbol.
-        """
+        """Address of a symbol of the firmware."""
         if name in self._image.symbols:
             return self._image.symbols[name]
         raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
@@ -211,11 +199,7 @@ class VirtualChip:
 
     @ctrl_c_comes_after()  # in a register's callback it would be lost, and the register's value with it
     def run_until(self, time_us: float) -> None:
-        """Advance to a virtual time, or beyond it by the rest of an instruction or IT block.
-
-        Raises:
-            ChipError: the firmware faulted, or did something that is not modelled.
-        """
+        """Advance to a virtual time, or beyond it by the rest of an instruction or IT block."""
         if self._failed is not None:
             raise self._failed
         self._target_cycle = round(time_us * CYCLES_PER_US)
@@ -248,9 +232,6 @@ class VirtualChip:
 
         Returns:
             Register r0, and the cycles from the function's first instruction to its return.
-
-        Raises:
-            ChipError: the chip is awake, has no such function, or the call faulted.
         """
         if not self._sleeping:
             raise self.fail(f"cannot call {function}: the chip is awake; let it run until it sleeps")

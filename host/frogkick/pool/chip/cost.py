@@ -37,21 +37,18 @@ PARTS: Final = 256
 
 @dataclass(frozen=True)
 class CostModel:
-    """What an instruction costs beyond its own cycles; all adjustable, all integers.
+    """What an instruction costs beyond its own cycles; all adjustable, all integers."""
 
-    Attributes:
-        branch_refill_cycles: where the next instruction is not the next in memory. The manual says 1 to 3.
-        cache_miss_cycles: each line of 16 bytes that the instruction cache does not hold. Upper end of the
-            product specification's 0 to 3 wait states with the cache on.
-        fetch_wait_uncached_parts: with the cache off, per instruction, in 1/256 cycle. An assumption: two
-            wait states for each word of two instructions.
-        flash_data_wait_cycles: each read of data from flash; the cache holds instructions only. Upper end of
-            the product specification's 0 to 2 wait states.
-    """
-
+    # where the next instruction is not the next in memory. The manual says 1 to 3.
     branch_refill_cycles: int = 3
+    # each line of 16 bytes that the instruction cache does not hold. Upper end of the product specification's
+    # 0 to 3 wait states with the cache on.
     cache_miss_cycles: int = 3
+    # with the cache off, per instruction, in 1/256 cycle. An assumption: two wait states for each word of two
+    # instructions.
     fetch_wait_uncached_parts: int = 256
+    # each read of data from flash; the cache holds instructions only. Upper end of the product
+    # specification's 0 to 2 wait states.
     flash_data_wait_cycles: int = 2
 
 
@@ -136,33 +133,22 @@ def cycles_and_flags(instruction: Any) -> tuple[int, Flag]:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What the count takes of an instruction.
+    """What the count takes of an instruction."""
 
-    Attributes:
-        offset: bytes behind the first of its run; size: its own.
-        cycles, flags: as ``cycles_and_flags`` gives them.
-        guarded: how many instructions behind it are in its IT block; 0 where it is no IT.
-        jumps: whether the next instruction may be elsewhere.
-        written: registers that it writes.
-        floats_read: registers that it reads, with the single ones that a double one is made of.
-        address: registers that it needs for an address; None if it has none.
-        gives_float, loads: a float result; a load or store of any kind.
-        first, second: a load that others may follow within its time; a single load or store that may follow.
-    """
-
-    offset: int
-    size: int
+    offset: int  # bytes behind the first of its run
+    size: int  # bytes
+    # cycles, flags: as ``cycles_and_flags`` gives them
     cycles: int
     flags: int
-    guarded: int
-    jumps: bool
-    written: frozenset[int]
-    floats_read: frozenset[int]
-    address: frozenset[int] | None
+    guarded: int  # how many instructions behind it are in its IT block; 0 where it is no IT
+    jumps: bool  # whether the next instruction may be elsewhere
+    written: frozenset[int]  # registers that it writes
+    floats_read: frozenset[int]  # registers that it reads, with the single ones that a double one is made of
+    address: frozenset[int] | None  # registers that it needs for an address; None if it has none
     gives_float: bool
-    loads: bool
-    first: bool
-    second: bool
+    loads: bool  # a load or store of any kind
+    first: bool  # a load that others may follow within its time
+    second: bool  # a single load or store that may follow
 
 
 def _decoded(instruction: Any) -> Decoded:
@@ -281,19 +267,12 @@ class CostTable:
 
 @dataclass(frozen=True)
 class FunctionCost:
-    """Cost of a function without the functions that it calls.
+    """Cost of a function without the functions that it calls."""
 
-    Attributes:
-        name: of the C function.
-        calls: number of executions of its first instruction.
-        instructions: number of executed instructions.
-        cycles: with wait states.
-    """
-
-    name: str
-    calls: int
-    instructions: int
-    cycles: float
+    name: str  # of the C function
+    calls: int  # number of executions of its first instruction
+    instructions: int  # number of executed instructions
+    cycles: float  # with wait states
 
 
 class Profile:

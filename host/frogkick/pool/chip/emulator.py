@@ -1,4 +1,7 @@
-"""The emulated core: unicorn's Cortex-M4 with the chip's memory and our callbacks."""
+"""The emulated core: unicorn's Cortex-M4 with the chip's memory and our callbacks.
+
+What cannot be done is a ``ChipError``.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +57,6 @@ def make_core(
         access: reads or writes a register, by (base, offset, size) or (base, offset, size, value).
         on_invalid: hears of accesses to where nothing is.
         state: what the callbacks of hook.c work on; gets unicorn's functions.
-
-    Raises:
-        ChipError: unicorn does not take the callbacks.
     """
     uc = _bare_core(image.flash, _UNINITIALISED * RAM_BYTES)
 
@@ -159,11 +159,7 @@ class UncountedCalls:
 
     @ctrl_c_comes_after()
     def call(self, function: str, *arguments: int | float) -> int:
-        """Call a function: see ``VirtualChip.call``. Returns register r0.
-
-        Raises:
-            ChipError: no such function, a fault, or no return.
-        """
+        """Call a function: see ``VirtualChip.call``. Returns register r0."""
         self._uc.reg_write(arm_const.UC_ARM_REG_SP, self._stack_top)
         set_arguments(self._uc, arguments, RETURN_ADDRESS)
         self._state.instructions, self._state.limit, self._state.stop = 0, _LONGEST, Stop.NONE

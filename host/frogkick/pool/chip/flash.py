@@ -1,4 +1,7 @@
-"""Flash as NVMC erases and writes it: what the product specification allows, what it takes, what it wears."""
+"""Flash as NVMC erases and writes it: what the product specification allows, what it takes, what it wears.
+
+What the product specification does not allow is a ``ChipError``.
+"""
 
 from __future__ import annotations
 
@@ -93,11 +96,7 @@ class Flash:
         self._stall(WRITE_CYCLES)
 
     def require_erasable(self, address: int) -> None:
-        """Refuse an erase.
-
-        Raises:
-            ChipError: erasing is not enabled, or no page begins there.
-        """
+        """Refuse an erase."""
         if self.mode != ERASE:
             raise self._fail(f"erase of the page at 0x{address:08x}: NVMC.CONFIG does not enable erasing")
         if address % PAGE_BYTES or not 0 <= address < FLASH_BYTES:

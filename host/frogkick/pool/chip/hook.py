@@ -1,4 +1,7 @@
-"""The C callback that counts cycles: compiled once by the zig wheel, kept in the user's cache folder."""
+"""The C callback that counts cycles: compiled once by the zig wheel, kept in the user's cache folder.
+
+Where it does not compile or load: ``ChipError``.
+"""
 
 from __future__ import annotations
 
@@ -68,11 +71,7 @@ class HookState(ctypes.Structure):
 
 @cache
 def load_hook() -> ctypes.CDLL:
-    """Compile hook.c where its cache does not hold it yet, and load it.
-
-    Raises:
-        ChipError: the zig wheel does not compile or load, or the cache folder cannot be written.
-    """
+    """Compile hook.c where its cache does not hold it yet, and load it."""
     digest = hashlib.sha256(" ".join((*_FLAGS, sys.platform)).encode() + _SOURCE.read_bytes()).hexdigest()
     library = cache_folder("chip") / f"hook-{digest[:24]}.so"
     if not library.exists():

@@ -1,4 +1,7 @@
-"""The firmware's ELF: flash content, symbols, and its structures as numpy types."""
+"""The firmware's ELF: flash content, symbols, and its structures as numpy types.
+
+What is no firmware for this chip is an ``InputError``, a type that it does not have a ``ChipError``.
+"""
 
 from __future__ import annotations
 
@@ -75,9 +78,6 @@ def load_image(path: Path | str, flash_before: bytes | None = None) -> FirmwareI
     Args:
         path: the ELF.
         flash_before: what the flash of such a chip held when it lost its power; None: what the ELF has.
-
-    Raises:
-        InputError: not an ELF for ARM, content outside flash, or no vectors at address 0.
     """
     file = existing_file(path, "firmware image")
     flash = bytearray(b"\xff" * FLASH_BYTES)
@@ -155,19 +155,11 @@ class Layouts:
     """Types of a firmware by the names of their typedefs."""
 
     def __init__(self, elf_path: Path | str) -> None:
-        """Find the typedefs of an ELF.
-
-        Raises:
-            ChipError: it has no debug information.
-        """
+        """Find the typedefs of an ELF."""
         self._types = _types_of(Path(elf_path).read_bytes(), Path(elf_path).name)
 
     def __getitem__(self, name: str) -> np.dtype[Any]:
-        """Return a type, members at the firmware's own offsets.
-
-        Raises:
-            ChipError: the firmware has none of that name.
-        """
+        """Return a type, members at the firmware's own offsets."""
         found: np.dtype[Any] | None = self._types.get(name)
         if found is None:
             raise ChipError(f"the firmware has no type {name!r} that can be written from outside")

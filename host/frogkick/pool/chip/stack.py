@@ -1,4 +1,7 @@
-"""Upper bound of a firmware's stack by its machine code, over all paths and calls."""
+"""Upper bound of a firmware's stack by its machine code, over all paths and calls.
+
+Where there is no bound (recursion, a stack pointer that is not moved by constants): ``ChipError``.
+"""
 
 from __future__ import annotations
 
@@ -23,16 +26,12 @@ _LOADS = ("ldm", "vldm", "ldmia", "vldmia")
 
 @dataclass(frozen=True)
 class StackBound:
-    """The deepest chain of calls.
+    """The deepest chain of calls."""
 
-    Attributes:
-        total_bytes: its stack.
-        chain: (function, bytes of stack in use when it calls the next; its own deepest for the last).
-        indirect: functions that call through a pointer; any function whose address is in flash may be called.
-    """
-
-    total_bytes: int
+    total_bytes: int  # its stack
+    # (function, bytes of stack in use when it calls the next; its own deepest for the last)
     chain: tuple[tuple[str, int], ...]
+    # functions that call through a pointer; any function whose address is in flash may be called
     indirect: tuple[str, ...]
 
 
@@ -69,11 +68,7 @@ class StackAnalysis:
         self._frames: dict[int, _Frame] = {}
 
     def bound(self, function: str = "fk_reset") -> StackBound:
-        """The deepest chain of calls from a function on.
-
-        Raises:
-            ChipError: no such function, recursion, or a stack pointer that is not moved by constants.
-        """
+        """The deepest chain of calls from a function on."""
         entry = self._entry(function)
         known: dict[int, tuple[int, tuple[tuple[str, int], ...]]] = {}
         total, chain = self._deepest(entry, known, [])
@@ -85,11 +80,7 @@ class StackAnalysis:
         return StackBound(total, chain, tuple(indirect))
 
     def own_bytes(self, function: str) -> int:
-        """The largest stack of a function without the functions that it calls.
-
-        Raises:
-            ChipError: as for ``bound``.
-        """
+        """The largest stack of a function without the functions that it calls."""
         return self._frame(self._entry(function)).deepest
 
     @property

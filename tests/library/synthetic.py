@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.library import Library
-from frogkick.library.history import History, limb_use
 from frogkick.library.store import library_of
+from frogkick.library.surface import History, limb_use
 from frogkick.library.transitions import HISTORY, RESTED
 from frogkick.robot import load_robot
 

@@ -10,8 +10,8 @@ from tests.conftest import count, from_ci
 from tests.identification.made import robot
 
 from frogkick.der import prepare
-from frogkick.library import Library, error_on, planned, quantise, sample_library
-from frogkick.library.planned import planned_swims
+from frogkick.library import Library, error_on, quantise, sample_library, sampling
+from frogkick.library.sampling import planned_swims
 from frogkick.library.starts import VisitedStates, rigid_starts
 from frogkick.library.store import make_library
 from frogkick.library.transitions import RESTED, simulate_task
@@ -25,7 +25,7 @@ FIRST_STATES = count(64, 64, 16)
 @pytest.fixture(autouse=True)
 def first_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of how many states the table is that swims are planned with."""
-    monkeypatch.setattr(planned, "_FIRST_TABLE_STATES", FIRST_STATES)
+    monkeypatch.setattr(sampling, "_FIRST_TABLE_STATES", FIRST_STATES)
 
 
 @from_ci

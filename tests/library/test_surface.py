@@ -10,8 +10,7 @@ from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, Known
 
 from frogkick.core.errors import InputError
 from frogkick.library import Library
-from frogkick.library.history import History, fit_history, limb_use
-from frogkick.library.surface import RIDGES, STATES_MIN, Surface, fit_surface
+from frogkick.library.surface import RIDGES, STATES_MIN, History, Surface, fit_history, fit_surface, limb_use
 from frogkick.library.transitions import RESTED
 
 RESOLUTION = np.array(ROBOT.velocity_resolution)

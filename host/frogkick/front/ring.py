@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, Tell, shown
 from frogkick.front.places import plan_config
-from frogkick.library.default import STATES
+from frogkick.library.fitting import STATES
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import require_tools
 

@@ -23,7 +23,7 @@ from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.front.html import page_of
 from frogkick.library import RECORD_S, Library, library_info
-from frogkick.library.default import SAMPLING, SEED, STATES
+from frogkick.library.fitting import SAMPLING, SEED, STATES
 from frogkick.robot import Robot, built_in_robots, load_robot
 from frogkick.tables.image import Tables, open_image, read_image
 

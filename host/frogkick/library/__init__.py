@@ -1,22 +1,25 @@
 """Sample states, simulate actions, keep the transitions, quantise them to tables."""
 
-from frogkick.library.build import RECORD_S, build_library, sample_library
-from frogkick.library.checkpoints import checkpoint_folder
-from frogkick.library.default import default_table
+from frogkick.library.build import (
+    RECORD_S,
+    build_library,
+    checkpoint_folder,
+    sample_library,
+    truncate_library,
+)
 from frogkick.library.error import error_on, table_error
-from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, fit_table
-from frogkick.library.quantise import quantise
+from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, default_table, fit_table
 from frogkick.library.sampling import SAMPLINGS, sample_starts
 from frogkick.library.store import (
     Library,
     Recorded,
     library_info,
+    quantise,
     read_library,
     read_recorded,
     write_library,
 )
 from frogkick.library.transitions import Failed
-from frogkick.library.truncate import truncate_library
 
 __all__ = [
     "BUDGET_BYTES",

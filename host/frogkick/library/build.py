@@ -1,9 +1,15 @@
-"""Samples states and simulates all actions from each, in parallel, with resumable builds."""
+"""Makes libraries: simulates all actions from sampled states, in parallel, with checkpoints to resume from.
+
+A library can also be cut to a shorter period.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import shutil
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -11,20 +17,120 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick.core.arrays import Float32
+from frogkick.core.arrays import Float32, Float64
 from frogkick.core.chunks import WORKERS_MAX, Job, run_chunks
 from frogkick.core.errors import ConvergenceError, InputError
+from frogkick.core.files import write_bytes, write_text
+from frogkick.core.poses import body_from_world
 from frogkick.core.version import VERSION
 from frogkick.der import Rods
 from frogkick.der.compiled import SOURCES
+from frogkick.der.strokes import cubic
 from frogkick.effects import rods_of
-from frogkick.library.checkpoints import Checkpoints
 from frogkick.library.sampling import sample_starts
 from frogkick.library.starts import Starts, rigid_starts
-from frogkick.library.store import Library, make_library, write_library
-from frogkick.library.transitions import SAMPLE_S, Task, Transitions, recorded_times, simulate_task
+from frogkick.library.store import (
+    Library,
+    library_of,
+    make_library,
+    read_library,
+    read_recorded,
+    write_library,
+)
+from frogkick.library.transitions import SAMPLE_S, Failed, Task, Transitions, recorded_times, simulate_task
 from frogkick.library.wear import wear_curves
 from frogkick.robot import Robot
+
+_FORMAT = "frogkick library parts"
+
+
+def checkpoint_folder(out: Path) -> Path:
+    """Folder of the checkpoints of a library."""
+    return out.with_name(out.name + ".parts")
+
+
+class Checkpoints:
+    """Folder ``OUT.parts`` of one build: a build that is started again resumes from the finished parts."""
+
+    def __init__(self, out: Path, job: bytes, name: str = "", keep_others: bool = False) -> None:
+        """Open the folder; the first part creates it.
+
+        Args:
+            out: the library's file.
+            job: everything that its content depends on.
+            name: of the job, for people.
+            keep_others: raise if there are parts of another job, instead of deleting them.
+
+        Raises:
+            InputError: the folder is none of ours, or there are parts of another job.
+        """
+        self.folder = checkpoint_folder(out)
+        self._name = name
+        self._key = hashlib.sha256(job).hexdigest()
+        if not self.folder.exists():
+            return
+        key, whose = self._found()
+        if key == self._key:
+            return
+        if keep_others and key and any(self.folder.glob("*.npz")):
+            raise InputError(
+                f"{str(self.folder)!r} holds finished parts of another library ({whose}), this one is "
+                f"{name}: build that one to its end, choose another --out, or delete the folder"
+            )
+        self.remove()
+
+    def _found(self) -> tuple[str, str]:
+        """Key and name of the job whose parts are there; two empty texts if unknown."""
+        try:
+            text = json.loads((self.folder / "job.json").read_text(encoding="utf-8"))
+            if str(text["format"]).startswith(_FORMAT):
+                return str(text["key"]), str(text.get("name", "by an earlier version"))
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        if self.folder.is_dir() and all(file.suffix == ".npz" for file in self.folder.iterdir()):
+            return "", ""  # stopped before job.json was written
+        raise InputError(
+            f"{str(self.folder)!r} is in the way of the library's parts and is none of ours: "
+            "move it or choose another --out"
+        )
+
+    def _file(self, index: int) -> Path:
+        return self.folder / f"{index:06d}.npz"
+
+    def save(self, index: int, part: Transitions) -> None:
+        """Write a part atomically."""
+        if not self.folder.exists():
+            about = {"format": _FORMAT, "key": self._key, "name": self._name}
+            write_text(self.folder / "job.json", json.dumps(about) + "\n")
+        content = io.BytesIO()
+        np.savez(
+            content,
+            velocity=part.velocity_body,
+            previous=part.previous,
+            rows=part.rows,
+            recorded=part.recorded,
+            failed=np.array([(f.state, f.action) for f in part.failed], dtype=np.int64).reshape(-1, 2),
+            reasons=np.array([f.reason for f in part.failed], dtype=np.str_),
+        )
+        write_bytes(self._file(index), content.getvalue())
+
+    def load(self, index: int) -> Transitions | None:
+        """A part, or None if it is missing or damaged."""
+        try:
+            content = io.BytesIO(self._file(index).read_bytes())
+            with np.load(content, allow_pickle=False) as part:
+                reasons: list[str] = part["reasons"].tolist()
+                places: list[list[int]] = part["failed"].tolist()
+                rows: Float64 = part["rows"]
+                failed = tuple(Failed(s, a, r) for (s, a), r in zip(places, reasons, strict=True))
+                return Transitions(part["velocity"], part["previous"], rows, part["recorded"], failed)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def remove(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
 
 RECORD_S = 5.0
 """Recorded time of each transition, as in the paper: a library can be cut to any shorter period."""
@@ -191,3 +297,60 @@ def _recorded(robot: Robot, starts: Starts, record_s: float, parts: Checkpoints)
 
     for state, (part, row) in enumerate(zip(starts.part.tolist(), starts.row.tolist(), strict=True)):
         yield starts.of(state, of(part)[row]).astype(np.float32, copy=False)
+
+
+def truncate_library(path: Path | str, robot: Robot) -> Library:
+    """The library of a robot with another period, from one that was recorded up to that period.
+
+    Displacements and velocities at the new period are on the cubic through two recorded poses and velocities.
+
+    Args:
+        path: a library.
+        robot: the library's robot with another period; settings that do not move it may differ too.
+
+    Raises:
+        InputError: see read_library; another robot, a period that was not recorded, or states amid strokes.
+    """
+    library, recorded = read_library(path), read_recorded(path)
+    if _moves_like(robot) != _moves_like(library.robot()):
+        raise InputError(
+            f"robot {robot.id!r} is not the one of library {str(path)!r} with another period only: "
+            "build a library for it"
+        )
+    if library.has_history():
+        raise InputError(
+            f"library {str(path)!r} has states amid strokes {library.period_s:g} s apart: build one for "
+            f"{robot.period_s:g} s, or cut one of --sampling box"
+        )
+    times, period = recorded.time_s, robot.period_s
+    if not len(times) or not times[0] <= period <= times[-1]:
+        range_s = f"{times[0]:g}-{times[-1]:g} s are" if len(times) else "nothing is"
+        raise InputError(
+            f"period {period:g} s cannot be cut from library {str(path)!r}, where {range_s} recorded: build "
+            "one"
+        )
+    left = int(np.clip(np.searchsorted(times, period, side="right") - 1, 0, len(times) - 2))
+    ends = recorded.motion[:, :, left : left + 2].astype(np.float64)
+    pose, rate = ends[..., :3], body_from_world(-ends[..., 2], ends[..., 3:])
+    length = np.asarray(times[left + 1] - times[left])
+    share = np.asarray((period - times[left]) / length)
+    at, slope = cubic(pose[:, :, 0], pose[:, :, 1], rate[:, :, 0], rate[:, :, 1], length, share)
+    rows = np.concatenate([at, body_from_world(at[..., 2], slope)], axis=-1)
+    return library_of(
+        robot, library.sampling, library.seed, library.initial_velocity_body, rows,
+        library.previous_actions, library.failed,
+    )  # fmt: skip
+
+
+def _moves_like(robot: Robot) -> tuple[object, ...]:
+    """Everything that decides how a robot moves in water after an action."""
+    return (
+        robot.frame,
+        robot.limbs,
+        robot.actions,
+        robot.second_delay_s,
+        robot.profiles,
+        robot.egain_percent,
+        robot.profile_frequency_hz,
+        robot.water_density_kg_per_m3,
+    )

@@ -1,4 +1,4 @@
-"""The library file: the simulated transitions in HDF5, checked when it is read."""
+"""The library file: the simulated transitions in HDF5, checked when it is read; and its plain table image."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from frogkick.library.transitions import HISTORY, RESTED, Failed, Transitions
 from frogkick.library.wear import no_curves
 from frogkick.robot import Robot, parse_robot
 from frogkick.tables.layout import WEAR_KNOTS
+from frogkick.tables.packing import pack_nearest
+from frogkick.tables.sealing import Metadata
 
 OVERHEAD_BYTES, STEP_BYTES, SAMPLE_BYTES = 65536, 64, 24
 """Bytes of the file: tables of contents, a transition, a recorded pose with velocity."""
@@ -36,6 +38,7 @@ _RECORDED_UNITS = {
     "recorded_pose_body": ("m, m, rad", "body at the start: forward, left, counter-clockwise"),
     "recorded_velocity_body": ("m/s, m/s, rad/s", "body at that time: forward, left, counter-clockwise"),
 }
+_FACTS = ("robot_id", "robot_toml", "robot_sha256", "sampling", "seed", "frogkick_version", "period_s")
 _TIMES = "recorded_time_s"
 _PREVIOUS = "previous_actions"
 _WEAR = "limb_wear"
@@ -155,13 +158,9 @@ def write_library(
     with atomic_path(out) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = FORMAT_VERSION
-        file.attrs["robot_id"] = library.robot_id
-        file.attrs["robot_toml"] = library.robot_toml
-        file.attrs["robot_sha256"] = library.robot_sha256.hex()
-        file.attrs["sampling"] = library.sampling
-        file.attrs["seed"] = library.seed
-        file.attrs["frogkick_version"] = library.frogkick_version
-        file.attrs["period_s"] = library.period_s
+        for name in _FACTS:
+            value = getattr(library, name)
+            file.attrs[name] = value.hex() if isinstance(value, bytes) else value
         for name, (units, frame) in _UNITS.items():
             dataset = file.create_dataset(name, data=getattr(library, name), dtype="<f8")
             dataset.attrs["units"] = units
@@ -198,7 +197,7 @@ def read_library(path: Path | str) -> Library:
         with h5py.File(source, "r") as file:
             attributes = {key: file.attrs[key] for key in file.attrs}
             _check_format(attributes, path)
-            arrays = {name: np.asarray(file[name][()], dtype=np.float64) for name in _UNITS}
+            arrays: dict[str, Any] = {name: np.asarray(file[name][()], dtype=np.float64) for name in _UNITS}
             states = len(arrays["initial_velocity_body"])
             previous = np.full((states, HISTORY), RESTED, dtype=np.int64)
             if int(attributes["format_version"]) >= 3:
@@ -214,9 +213,7 @@ def read_library(path: Path | str) -> Library:
             seed=int(attributes["seed"]),
             frogkick_version=str(attributes["frogkick_version"]),
             period_s=float(attributes["period_s"]),
-            initial_velocity_body=arrays["initial_velocity_body"],
-            displacement_body=arrays["displacement_body"],
-            velocity_body_end=arrays["velocity_body_end"],
+            **arrays,
             previous_actions=previous,
             failed=failed,
             limb_wear=wear,
@@ -250,15 +247,15 @@ def _read_failed(file: h5py.File) -> tuple[Failed, ...]:
 
 def _check_recorded(file: h5py.File, shape: tuple[int, ...], path: Path | str) -> None:
     times = np.asarray(file[_TIMES][()], dtype=np.float64)
-    if times.ndim != 1 or not np.isfinite(times).all() or not (np.diff(times, prepend=0.0) > 0.0).all():
-        raise InputError(f"library {str(path)!r}: {_TIMES} does not increase from 0; build it again")
+    rises = times.ndim == 1 and np.isfinite(times).all() and (np.diff(times, prepend=0.0) > 0.0).all()
+    _require(rises, path, f"{_TIMES} does not increase from 0")
     for name in _RECORDED_UNITS:
-        wanted = (*shape[:2], len(times), 3)
-        if file[name].shape != wanted or file[name].dtype != np.float32:
-            raise InputError(
-                f"library {str(path)!r}: {name} has shape {file[name].shape} of {file[name].dtype}, not "
-                f"{wanted} of float32; build it again"
-            )
+        wanted, found = (*shape[:2], len(times), 3), file[name]
+        _require(
+            found.shape == wanted and found.dtype == np.float32,
+            path,
+            f"{name} has shape {found.shape} of {found.dtype}, not {wanted} of float32",
+        )
 
 
 def library_info(path: Path | str) -> dict[str, Any]:
@@ -278,10 +275,7 @@ def library_info(path: Path | str) -> dict[str, Any]:
         "robot": library.robot_id,
         "robot_sha256": library.robot_sha256.hex(),
         "content_sha256": library.content_sha256().hex(),
-        "sampling": library.sampling,
-        "seed": library.seed,
-        "frogkick_version": library.frogkick_version,
-        "period_s": library.period_s,
+        **{name: getattr(library, name) for name in _FACTS[3:]},
         "states": states,
         "actions": actions,
         "transitions": states * actions,
@@ -344,53 +338,89 @@ def _check_format(attributes: dict[str, Any], path: Path | str) -> None:
         )
 
 
+def _require(good: object, path: Path | str, text: str) -> None:
+    """Raise InputError that says what is wrong with a library's content unless a condition holds."""
+    if not good:
+        raise InputError(f"library {str(path)!r}: {text}; build it again")
+
+
 def _check_content(library: Library, path: Path | str) -> None:
-    if hashlib.sha256(library.robot_toml.encode("utf-8")).digest() != library.robot_sha256:
-        raise InputError(f"library {str(path)!r}: the robot's text does not match its hash; build it again")
-    robot = library.robot()
+    hashed = hashlib.sha256(library.robot_toml.encode("utf-8")).digest()
+    _require(hashed == library.robot_sha256, path, "the robot's text does not match its hash")
+    robot, wear, before = library.robot(), library.limb_wear, library.previous_actions
     n, a = len(library.initial_velocity_body), len(robot.actions)
-    wear = library.limb_wear
-    if (
-        wear.shape not in (no_curves().shape, (len(robot.limbs), WEAR_KNOTS, 6))
-        or not np.isfinite(wear).all()
-    ):
-        raise InputError(
-            f"library {str(path)!r}: {_WEAR} has shape {wear.shape} or a value that is not finite; "
-            "build it again"
-        )
-    expected = {
-        "initial_velocity_body": (n, 3),
-        "displacement_body": (n, a, 3),
-        "velocity_body_end": (n, a, 3),
-    }
-    before = library.previous_actions
-    if before.shape != (n, HISTORY) or not ((before >= RESTED) & (before < a)).all():
-        raise InputError(
-            f"library {str(path)!r}: {_PREVIOUS} has shape {before.shape} or a value that is none of "
-            f"{RESTED} to {a - 1}; build it again"
-        )
+    shapes = (no_curves().shape, (len(robot.limbs), WEAR_KNOTS, 6))
+    _require(
+        wear.shape in shapes and np.isfinite(wear).all(),
+        path,
+        f"{_WEAR} has shape {wear.shape} or a value that is not finite",
+    )
+    _require(
+        before.shape == (n, HISTORY) and ((before >= RESTED) & (before < a)).all(),
+        path,
+        f"{_PREVIOUS} has shape {before.shape} or a value that is none of {RESTED} to {a - 1}",
+    )
     lost = np.zeros((n, a), dtype=bool)
     for failure in library.failed:
-        if not (0 <= failure.state < n and 0 <= failure.action < a):
-            raise InputError(
-                f"library {str(path)!r}: failed transition {failure.state}, {failure.action} is none of "
-                f"{n} x {a}; build it again"
-            )
-        lost[failure.state, failure.action] = True
-    for name, shape in expected.items():
+        state, action = failure.state, failure.action
+        here = 0 <= state < n and 0 <= action < a
+        _require(here, path, f"failed transition {state}, {action} is none of {n} x {a}")
+        lost[state, action] = True
+    for name in _UNITS:
         values = getattr(library, name)
-        if n == 0 or values.shape != shape:
-            raise InputError(
-                f"library {str(path)!r}: {name} has shape {values.shape}, not {shape}; build it again"
-            )
+        shape = (n, 3) if name == "initial_velocity_body" else (n, a, 3)
+        _require(n and values.shape == shape, path, f"{name} has shape {values.shape}, not {shape}")
         unknown = ~np.isfinite(values)
         if values.ndim == 3:
             unknown &= ~lost[:, :, None]
-        bad = np.argwhere(unknown)
-        if bad.size:
-            raise InputError(f"library {str(path)!r}: {name}{bad[0].tolist()} is not finite; build it again")
+        for place in np.argwhere(unknown).tolist():
+            _require(False, path, f"{name}{place} is not finite")
     if robot.id != library.robot_id or robot.period_s != library.period_s:
         raise InputError(
             f"library {str(path)!r} says robot {library.robot_id!r}, {library.period_s} s, its robot's text "
             f"{robot.id!r}, {robot.period_s} s: build it again"
         )
+
+
+def table_metadata(robot: Robot, provenance: bytes) -> Metadata:
+    """Metadata of a robot's table image."""
+    return Metadata(
+        robot_id=robot.id,
+        provenance=provenance,
+        period_us=round(robot.period_s * 1e6),
+        pulse_us=round(robot.pulse_s * 1e6),
+        second_delay_us=round(robot.second_delay_s * 1e6),
+        limbs=len(robot.limbs),
+        action_rows=[
+            (code, action.first_mask, action.second_mask)
+            for code, action in zip(robot.action_codes, robot.actions, strict=True)
+        ],
+        velocity_resolution=robot.velocity_resolution,
+    )
+
+
+def quantise(library: Library) -> bytes:
+    """Round a library's transitions to the codes of a table image of kind ``nearest``.
+
+    States in which an action could not be simulated are left out.
+
+    Returns:
+        The image; equal libraries give equal bytes.
+
+    Raises:
+        InputError: a value out of the codes' range, with its row and column; or no complete state.
+    """
+    robot = library.robot()
+    whole = library.whole_states()
+    if not whole.any():
+        raise InputError(
+            f"{len(library.failed)} transitions of the library failed, and no state has all of its actions: "
+            "build it again"
+        )
+    return pack_nearest(
+        table_metadata(robot, library.content_sha256()),
+        velocities=library.initial_velocity_body[whole],
+        displacements=library.displacement_body[whole],
+        velocities_end=library.velocity_body_end[whole],
+        limb_wear=library.limb_wear,
+    )

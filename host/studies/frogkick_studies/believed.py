@@ -16,7 +16,7 @@ from numba import njit
 
 from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.errors import InputError
-from frogkick.library.quantise import table_metadata
+from frogkick.library.store import table_metadata
 from frogkick.planner.paper_cost import pose_cost
 from frogkick.planner.plan import PlanConfig, path_rows
 from frogkick.robot import Robot, mirror_of

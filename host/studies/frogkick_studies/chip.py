@@ -22,7 +22,7 @@ from frogkick.front.places import built_firmware, plan_config
 from frogkick.front.tables import robot_of_table, table_image
 from frogkick.paths import SHAPES, shape
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick.pool.chip.cost import LEAST_COST, CostModel
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, TimedStates, states_for_timing
 from frogkick.tables.image import Tables, read_image
@@ -157,17 +157,25 @@ def chip_speed(
     Returns:
         Depth -> times.
     """
-    study = _Study(elf, read_image(image), paths, config, counts, seed)
-    runner = _Runner(workers, sum(min(counts[depth], RUN[depth]) for depth in counts), progress)
-    found = runner.run(study.at_random())
+    study = _Study(elf, read_image(image), paths, config, counts, seed, workers, progress)
+    found = study.run(study.at_random())
     speeds = {}
     for depth in counts:
         mine = [one for one in found if one.depth == depth]
         error, unrun_ms = 0.0, 0.0
         if counts[depth] > RUN[depth]:
-            chosen, model = study.dearest(depth, mine)
-            mine += runner.run(chosen)
-            error, unrun_ms = study.unrun(depth, mine, model)
+            model = study.model(depth, mine)
+            others = {name: study.others(depth, name, model) for name in paths}
+            mine += study.run(
+                [
+                    chunk
+                    for name, (timed, _, places) in others.items()
+                    for chunk in study.cut(depth, name, timed.chosen(places), at_random=False)
+                ]
+            )
+            error = study.error(depth, mine, model)
+            most = max(float(np.delete(cycles, places).max()) for _, cycles, places in others.values())
+            unrun_ms = most * (1.0 + error) / CYCLES_PER_MS
         speed = _summary(mine, study.count(depth) * len(paths), error, unrun_ms)
         speeds[depth] = dataclasses.replace(speed, least_ms=_least_ms(elf, paths, config, depth, speed))
     return speeds
@@ -188,21 +196,7 @@ def _least_ms(
     return float(cycles[0]) / CYCLES_PER_MS
 
 
-class _Runner:
-    def __init__(self, workers: int, whole: int, progress: Callable[[int, int], None]) -> None:
-        self._workers, self._whole, self._progress, self._done = workers, whole, progress, 0
-
-    def run(self, chunks: Sequence[_Chunk]) -> list[_Counted]:
-        job = Job(tuple, (), _count, len)  # each process boots a chip of its own, and needs nothing for that
-        return [self._note(counted) for _, counted in run_chunks(job, chunks, self._workers)]
-
-    def _note(self, counted: _Counted) -> _Counted:
-        self._done += len(counted.timed.states)
-        self._progress(min(self._done, self._whole), self._whole)
-        return counted
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Study:
     elf: Path
     tables: Tables
@@ -210,6 +204,20 @@ class _Study:
     config: PlanConfig
     counts: Mapping[int, int]
     seed: int
+    workers: int
+    progress: Callable[[int, int], None]
+    _done: int = 0
+
+    def run(self, chunks: Sequence[_Chunk]) -> list[_Counted]:
+        """Return the counts of all chunks, and report the progress."""
+        whole = sum(min(count, RUN[depth]) for depth, count in self.counts.items())
+        job = Job(tuple, (), _count, len)  # each process boots a chip of its own, and needs nothing for that
+        found = []
+        for _, counted in run_chunks(job, chunks, self.workers):
+            found.append(counted)
+            self._done += len(counted.timed.states)
+            self.progress(min(self._done, whole), whole)
+        return found
 
     def count(self, depth: int) -> int:
         """Return the number of states of a depth along one path."""
@@ -232,45 +240,34 @@ class _Study:
         for depth in sorted(self.counts, reverse=True):
             for name in self.paths:
                 timed = self.states(depth, name).part(0, self.first(depth))
-                chunks += self._cut(depth, name, timed, at_random=True)
+                chunks += self.cut(depth, name, timed, at_random=True)
         return chunks
 
-    def dearest(self, depth: int, ran: Sequence[_Counted]) -> tuple[list[_Chunk], CycleModel]:
-        """Return the most expensive of the other states by a model that is fitted to half of those run."""
-        model = fit_cycles(
-            self.tables.image,
-            self.config,
-            [(self.paths[one.path_name], one.timed.part(0, half), one.cycles[:half])
-             for one in ran for half in [len(one.cycles) // 2]],
-            depth,
-        )  # fmt: skip
-        chunks = []
-        for name in self.paths:
-            timed, predicted = self._others(depth, name, model)
-            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
-            chunks += self._cut(depth, name, timed.chosen(places), at_random=False)
-        return chunks, model
+    def model(self, depth: int, ran: Sequence[_Counted]) -> CycleModel:
+        """Return the cycles of blocks, fitted to half of the states that were run at random."""
+        halves = [(one, len(one.cycles) // 2) for one in ran]
+        runs = [
+            (self.paths[one.path_name], one.timed.part(0, half), one.cycles[:half]) for one, half in halves
+        ]
+        return fit_cycles(self.tables.image, self.config, runs, depth)
 
-    def unrun(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> tuple[float, float]:
-        """Return the model's largest relative error, and its bound for the states that were not run, ms."""
-        settings = dataclasses.replace(self.config, depth=depth)
-        error, most = 0.0, 0.0
+    def error(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> float:
+        """Return the model's largest relative error over states that it was not fitted to."""
+        settings, error = dataclasses.replace(self.config, depth=depth), 0.0
         for one in ran:
             fitted = len(one.cycles) // 2 if one.at_random else 0
             predicted = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
             error = max(error, float(np.abs(one.cycles / predicted - 1.0)[fitted:].max()))
-        for name in self.paths:
-            timed, predicted = self._others(depth, name, model)
-            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
-            most = max(most, float(np.delete(predicted, places).max()))
-        return error, most * (1.0 + error) / CYCLES_PER_MS
+        return error
 
-    def _others(self, depth: int, name: str, model: CycleModel) -> tuple[TimedStates, Float64]:
+    def others(self, depth: int, name: str, model: CycleModel) -> tuple[TimedStates, Float64, Int64]:
+        """Return the states not run at random, their cycles by the model, and the places of the dearest."""
         timed = self.states(depth, name).part(self.first(depth), self.count(depth))
         settings = dataclasses.replace(self.config, depth=depth)
-        return timed, model.predict(self.tables.image, self.paths[name], settings, timed)
+        predicted = model.predict(self.tables.image, self.paths[name], settings, timed)
+        return timed, predicted, dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
 
-    def _cut(self, depth: int, name: str, timed: TimedStates, at_random: bool) -> list[_Chunk]:
+    def cut(self, depth: int, name: str, timed: TimedStates, at_random: bool) -> list[_Chunk]:
         count = len(timed.states)
         step = max(_CHUNK, count // 64)
         return [
@@ -350,46 +347,32 @@ class ChipStudy(Found):
         )
 
     def as_json(self) -> dict[str, Any]:
-        speeds = {str(depth): speed for depth, speed in self.speeds.items()}
+        def each(value: Callable[[DepthSpeed], Any]) -> dict[str, Any]:
+            return {str(depth): value(speed) for depth, speed in self.speeds.items()}
+
         return {
-            "plan_ms": {
-                depth: {"mean": round(speed.mean_ms, 4), "worst": round(speed.worst_ms, 4)}
-                for depth, speed in speeds.items()
-            },
-            "band_ms": {
-                depth: [round(speed.least_ms, 4), round(speed.worst_ms, 4)] for depth, speed in speeds.items()
-            },
+            "plan_ms": each(lambda one: {"mean": round(one.mean_ms, 4), "worst": round(one.worst_ms, 4)}),
+            "band_ms": each(lambda one: [round(one.least_ms, 4), round(one.worst_ms, 4)]),
             "limit_ms": {str(depth): limit for depth, limit in self.limit_ms.items()},
-            "states": {depth: speed.states for depth, speed in speeds.items()},
-            "run": {depth: speed.run for depth, speed in speeds.items()},
-            "model_error": {depth: round(speed.model_error, 5) for depth, speed in speeds.items()},
-            "unrun_ms": {depth: round(speed.unrun_ms, 4) for depth, speed in speeds.items()},
-            "worst_ms_by_reach": {
-                depth: {str(reach): round(one, 4) for reach, one in speed.worst_ms_by_reach.items()}
-                for depth, speed in speeds.items()
-            },
-            "nodes": {depth: round(speed.nodes, 1) for depth, speed in speeds.items()},
-            "instructions_per_node": {
-                depth: round(speed.instructions_per_node, 1) for depth, speed in speeds.items()
-            },
+            "states": each(lambda one: one.states),
+            "run": each(lambda one: one.run),
+            "model_error": each(lambda one: round(one.model_error, 5)),
+            "unrun_ms": each(lambda one: round(one.unrun_ms, 4)),
+            "worst_ms_by_reach": each(
+                lambda one: {str(reach): round(ms, 4) for reach, ms in one.worst_ms_by_reach.items()}
+            ),
+            "nodes": each(lambda one: round(one.nodes, 1)),
+            "instructions_per_node": each(lambda one: round(one.instructions_per_node, 1)),
             "open_ms": round(self.open_ms, 2),
-            "worst": {
-                depth: {
-                    "path": speed.worst_path,
-                    "state": speed.worst_state,
-                    "limb_use": speed.worst_limb_use,
-                    "along_points": speed.worst_along_points,
+            "worst": each(
+                lambda one: {
+                    key: getattr(one, f"worst_{key}") for key in ("path", "state", "limb_use", "along_points")
                 }
-                for depth, speed in speeds.items()
-            },
-            "share_percent": {
-                depth: {share.function: round(share.percent, 1) for share in speed.shares[:_DEAREST]}
-                for depth, speed in speeds.items()
-            },
-            "calls": {
-                depth: {share.function: round(share.calls, 1) for share in speed.shares[:_DEAREST]}
-                for depth, speed in speeds.items()
-            },
+            ),
+            "share_percent": each(
+                lambda one: {s.function: round(s.percent, 1) for s in one.shares[:_DEAREST]}
+            ),
+            "calls": each(lambda one: {s.function: round(s.calls, 1) for s in one.shares[:_DEAREST]}),
             "cycle_model": dict(self.cycle_model),
             "seed": self.seed,
         }

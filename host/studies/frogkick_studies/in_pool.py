@@ -14,7 +14,7 @@ import numpy as np
 
 from frogkick.core.chunks import Job, code_stamp, run_chunks
 from frogkick.core.errors import InputError
-from frogkick.core.files import write_bytes
+from frogkick.core.files import write_bytes, write_text
 from frogkick.core.progress import shown
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
@@ -31,9 +31,8 @@ from frogkick.robot import Robot
 from frogkick.runs.closed_loop import RunOptions, run_session
 from frogkick.runs.record import tracking_of_recording
 from frogkick.runs.session import Session
-from frogkick.tables.image import Tables, read_image
+from frogkick.tables.image import read_image
 from frogkick_codegen.firmware import build
-from frogkick_studies.kept import Lines
 
 TIME_LIMIT_S = 120.0
 PAPER_STATES = 8503
@@ -61,39 +60,42 @@ class Outcome:
     decisions: int
 
 
-class Kept:
-    """Outcomes of runs in a file, each with the conditions of its run.
+class Lines:
+    """A file of JSON objects, one a line, below a head that identifies their conditions.
 
     Attributes:
-        outcomes: outcomes of the file under these conditions, by case.
+        values: the objects that the file had under the same head, in order.
     """
 
-    def __init__(self, file: Path, stamp: str, conditions_of: Callable[[Case], str | None]) -> None:
-        """Read the file.
+    def __init__(self, file: Path, head: dict[str, str]) -> None:
+        """Read the file, or begin it again if its head differs.
 
         Args:
-            file: see ``Lines``.
-            stamp: hash of all that every result depends on.
-            conditions_of: hash of what else a case depends on; None if that is not known here.
+            file: the file, which is made with its folder if it does not exist.
+            head: all that every object depends on.
         """
-        self.outcomes: dict[Case, Outcome] = {}
-        self._conditions_of = conditions_of
-        self._lines = Lines(file, {"stamp": stamp})
-        for values in self._lines.values:
-            case = Case(**values["case"])
-            if conditions_of(case) == values["conditions_sha256"]:
-                self.outcomes[case] = Outcome(**values["outcome"])
+        self._file = file
+        first = json.dumps(head)
+        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+        kept = [line for line in lines[1:] if _read_line(line)] if lines[:1] == [first] else []
+        if lines != [first, *kept]:  # of other code, or a stop cut a line, which the next would then follow
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_text(file, "".join(line + "\n" for line in (first, *kept)))
+        self.values = [_read_line(line) for line in kept]
 
-    def add(self, case: Case, outcome: Outcome) -> None:
-        """Keep a result."""
-        self.outcomes[case] = outcome
-        self._lines.add(
-            {
-                "case": dataclasses.asdict(case),
-                "conditions_sha256": self._conditions_of(case),
-                "outcome": dataclasses.asdict(outcome),
-            }
-        )
+    def add(self, values: dict[str, Any]) -> None:
+        """Append an object."""
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(values) + "\n")
+
+
+def _read_line(line: str) -> dict[str, Any]:
+    """Return an object; empty if an interruption cut its line."""
+    try:
+        values = json.loads(line)
+    except json.JSONDecodeError:
+        return {}
+    return values if isinstance(values, dict) else {}
 
 
 @dataclass(frozen=True)
@@ -229,16 +231,27 @@ def run_cases(
     def conditions(case: Case) -> str | None:
         return f"{worlds[case.world]} {ways.get(case.path, '')}" if case.world in worlds else None
 
-    stamp = _stamp(robot, tables, libraries, planners)
-    kept = Kept(out / "runs.jsonl", stamp, conditions)
-    waiting = [case for case in cases if case not in kept.outcomes]
-    given = (robot, dict(tables), libraries, tuple(planners), tuple(settings), tuple(courses))
-    job = Job(_start, given, _run, _warm)
+    lines = Lines(out / "runs.jsonl", {"stamp": _stamp(robot, tables, libraries, planners)})
+    kept = {
+        case: Outcome(**values["outcome"])
+        for values in lines.values
+        if conditions(case := Case(**values["case"])) == values["conditions_sha256"]
+    }
+    waiting = [case for case in cases if case not in kept]
+    job = Job(_Ready, (robot, tables, libraries, planners, settings, courses), _run, _warm)
     progress(len(cases) - len(waiting), len(cases))
     for index, outcome in run_chunks(job, waiting, workers):
-        kept.add(waiting[index], outcome)
-        progress(sum(case in kept.outcomes for case in cases), len(cases))
-    return {case: kept.outcomes[case] for case in cases}
+        case = waiting[index]
+        kept[case] = outcome
+        lines.add(
+            {
+                "case": dataclasses.asdict(case),
+                "conditions_sha256": conditions(case),
+                "outcome": dataclasses.asdict(outcome),
+            }
+        )
+        progress(sum(case in kept for case in cases), len(cases))
+    return {case: kept[case] for case in cases}
 
 
 def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
@@ -246,21 +259,16 @@ def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
     groups: dict[tuple[str, str, str], list[Outcome]] = {}
     for case, outcome in outcomes.items():
         groups.setdefault((case.world, case.path, case.planner), []).append(outcome)
-    found = []
-    for (world, path, planner), runs in groups.items():
-        distance = np.array([run.mean_distance_m for run in runs])
-        found.append(
-            Summary(
-                world,
-                path,
-                planner,
-                float(distance.mean()),
-                float(distance.std()),
-                float(np.mean([run.progress_mps for run in runs])),
-                float(np.mean([run.completed for run in runs])),
-            )
+    return [
+        Summary(
+            *group,
+            float(np.mean([run.mean_distance_m for run in runs])),
+            float(np.std([run.mean_distance_m for run in runs])),
+            float(np.mean([run.progress_mps for run in runs])),
+            float(np.mean([run.completed for run in runs])),
         )
-    return found
+        for group, runs in groups.items()
+    ]
 
 
 def _stamp(
@@ -274,32 +282,21 @@ def _stamp(
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
 class _Ready:
-    robot: Robot
-    tables: dict[str, Tables]
-    libraries: dict[str, Path]
-    planners: dict[str, Planner]
-    settings: dict[str, Setting]
-    courses: dict[str, Course]
-
-
-def _start(
-    robot: Robot,
-    tables: dict[str, Path],
-    libraries: dict[str, Path],
-    planners: tuple[Planner, ...],
-    settings: tuple[Setting, ...],
-    courses: tuple[Course, ...],
-) -> _Ready:
-    return _Ready(
-        robot,
-        {name: read_image(path) for name, path in tables.items()},
-        libraries,
-        {planner.name: planner for planner in planners},
-        {setting.name: setting for setting in settings},
-        {course.name: course for course in courses},
-    )
+    def __init__(
+        self,
+        robot: Robot,
+        tables: Mapping[str, Path],
+        libraries: Mapping[str, Path],
+        planners: Sequence[Planner],
+        settings: Sequence[Setting],
+        courses: Sequence[Course],
+    ) -> None:
+        self.robot, self.libraries = robot, libraries
+        self.tables = {name: read_image(path) for name, path in tables.items()}
+        self.planners = {planner.name: planner for planner in planners}
+        self.settings = {setting.name: setting for setting in settings}
+        self.courses = {course.name: course for course in courses}
 
 
 def _warm(ready: _Ready) -> None:

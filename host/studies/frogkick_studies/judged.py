@@ -10,9 +10,8 @@ from typing import Any
 from frogkick.effects import Parameter
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.verdict import FAR, FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED, Interval
-from frogkick_studies.draws import Table
 from frogkick_studies.planted import LAWS, NULL, OUTSIDE, Kind
-from frogkick_studies.planted_laws import rights
+from frogkick_studies.planted_laws import Table, rights
 
 
 @dataclass(frozen=True)

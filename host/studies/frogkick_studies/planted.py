@@ -8,8 +8,18 @@ from functools import partial
 
 import numpy as np
 
-from frogkick_studies.draws import LIMBS, Table, between, sign
-from frogkick_studies.planted_laws import DRAWN, drawn, misfire
+from frogkick_studies.planted_laws import (
+    DRAWN,
+    Draw,
+    Random,
+    Table,
+    any_limb,
+    between,
+    drawn,
+    effect,
+    misfire,
+    signed,
+)
 
 NULL, ONE, TWO, OUTSIDE, LAWS = "nothing", "one", "two", "outside", "laws"
 
@@ -99,131 +109,55 @@ class Kind:
     alike: tuple[str, ...] = ()
 
 
-def _wear(rng: np.random.Generator) -> Table:
-    return {"name": "limb_wear", "limb": str(rng.choice(LIMBS)), "gain": between(rng, 0.6, 0.9)}
+def _slow(rng: Random) -> Table:
+    limb, slow = any_limb(rng), between(1.5, 2.5)(rng)
+    return {"name": "limb_wear", "limb": limb, "gain": between(0.75, 0.95)(rng), "duration_scale": slow}
 
 
-def _slow(rng: np.random.Generator) -> Table:
-    limb, slow = str(rng.choice(LIMBS)), between(rng, 1.5, 2.5)
-    return {"name": "limb_wear", "limb": limb, "gain": between(rng, 0.75, 0.95), "duration_scale": slow}
-
-
-def _current(rng: np.random.Generator) -> Table:
+def _current(rng: Random) -> Table:
     speed, way = rng.uniform(0.003, 0.01), rng.uniform(-np.pi, np.pi)
     x, y = float(np.round(speed * np.cos(way), 5)), float(np.round(speed * np.sin(way), 5))
     return {"name": "steady_current", "x_mps": x, "y_mps": y}
 
 
-def _latency(rng: np.random.Generator) -> Table:
-    return {"name": "fix_latency", "delay_s": between(rng, 0.06, 0.15)}
-
-
-def _tag(rng: np.random.Generator) -> Table:
-    ahead, left, turn = (sign(rng) * between(rng, *ends) for ends in ((0, 0.02), (0, 0.02), (0.06, 0.2)))
-    return {"name": "tag_offset", "forward_m": ahead, "left_m": left, "turn_rad": turn}
-
-
-def _yaw(rng: np.random.Generator) -> Table:
-    return {"name": "yaw_drag", "linear_nms": between(rng, 2e-4, 1e-3)}
-
-
-def _warm(rng: np.random.Generator) -> Table:
-    return {"name": "warm_up", "loss": between(rng, 0.3, 0.6), "fade_strokes": between(rng, 2.0, 5.0)}
-
-
-def _memory(rng: np.random.Generator) -> Table:
-    return {"name": "limb_memory", "loss": between(rng, 0.2, 0.5), "fade_s": between(rng, 1.0, 3.0)}
-
-
-def _sag(rng: np.random.Generator) -> Table:
-    return {"name": "battery_sag", "loss_per_min": between(rng, 0.2, 0.4)}
-
-
-def _centre(rng: np.random.Generator) -> Table:
-    return {"name": "centre_mass", "share": between(rng, 0.2, 0.6)}
-
-
-def _drag(rng: np.random.Generator) -> Table:
-    return {"name": "drag_scale", "frame": between(rng, 1.3, 2.0)}
-
-
-def _scale(rng: np.random.Generator) -> Table:
-    return {"name": "camera_scale", "scale": 1.0 + sign(rng) * between(rng, 0.03, 0.08)}
-
-
-def _late(rng: np.random.Generator) -> Table:
-    return {"name": "limb_wear", "limb": str(rng.choice(LIMBS)), "delay_s": between(rng, 0.06, 0.15)}
-
-
-def _mass(rng: np.random.Generator) -> Table:
-    return {"name": "mass_scale", "frame": between(rng, 1.3, 2.0)}
-
-
-def _off_centre(rng: np.random.Generator) -> Table:
-    ahead, left = (sign(rng) * between(rng, 0.003, 0.01) for _ in range(2))
-    return {"name": "off_centre_mass", "forward_m": ahead, "left_m": left}
-
-
-def _shear(rng: np.random.Generator) -> Table:
-    return {"name": "shear_current", "x_per_s": sign(rng) * between(rng, 0.02, 0.06)}
-
-
-def _vortex(rng: np.random.Generator) -> Table:
-    turning = sign(rng) * between(rng, 0.003, 0.008)
-    at = {"x_m": between(rng, 0.05, 0.3), "y_m": between(rng, -0.1, 0.1)}
-    return {"name": "vortex", "circulation_m2ps": turning, **at, "core_m": between(rng, 0.1, 0.25)}
-
-
-def _wall(rng: np.random.Generator) -> Table:
+def _wall(rng: Random) -> Table:
     """Where the paper's paths come near: beside the ellipse, or before the end of the line."""
     side = str(rng.choice(["x_high", "y_low", "y_high"]))
-    at_m = between(rng, 0.42, 0.47) if side == "x_high" else between(rng, 0.13, 0.16)
-    drag, hardness = between(rng, 0.5, 1.5), between(rng, 0.5, 0.7)
-    return {
-        "name": "wall",
-        "side": side,
-        "at_m": at_m,
-        "drag_ns_per_m": drag,
-        "hardness": hardness,
-    }
+    at_m = between(0.42, 0.47) if side == "x_high" else between(0.13, 0.16)
+    drag, hardness = between(0.5, 1.5), between(0.5, 0.7)
+    return effect("wall", side=side, at_m=at_m, drag_ns_per_m=drag, hardness=hardness)(rng)
 
 
-def _group_loss(rng: np.random.Generator) -> Table:
-    return {"name": "group_loss", "loss": between(rng, 0.3, 0.6), "fade_s": between(rng, 0.1, 0.3)}
+_OFF_M, _TAG_M, _TURN_M2PS = signed(0.003, 0.01), signed(0, 0.02), signed(0.003, 0.008)
 
-
-def _mine(kind: str, **values: float | str) -> list[Table]:
-    return [{"file": OUTSIDE_FILE, "class": kind, **values}]
-
-
-def _misfire(low: float, high: float, rng: np.random.Generator) -> list[Table]:
-    return [misfire(rng, low, high)]
-
-
-ONES: Mapping[str, Callable[[np.random.Generator], Table]] = {
-    "wear": _wear,
+ONES: Mapping[str, Draw] = {
+    "wear": effect("limb_wear", limb=any_limb, gain=between(0.6, 0.9)),
     "slow limb": _slow,
     "current": _current,
-    "latency": _latency,
-    "tag": _tag,
-    "yaw drag": _yaw,
-    "warm-up": _warm,
-    "memory": _memory,
-    "sag": _sag,
-    "centre mass": _centre,
-    "drag": _drag,
-    "scale": _scale,
-    "late limb": _late,
-    "mass": _mass,
-    "off-centre": _off_centre,
-    "shear": _shear,
-    "vortex": _vortex,
+    "latency": effect("fix_latency", delay_s=between(0.06, 0.15)),
+    "tag": effect("tag_offset", forward_m=_TAG_M, left_m=_TAG_M, turn_rad=signed(0.06, 0.2)),
+    "yaw drag": effect("yaw_drag", linear_nms=between(2e-4, 1e-3)),
+    "warm-up": effect("warm_up", loss=between(0.3, 0.6), fade_strokes=between(2.0, 5.0)),
+    "memory": effect("limb_memory", loss=between(0.2, 0.5), fade_s=between(1.0, 3.0)),
+    "sag": effect("battery_sag", loss_per_min=between(0.2, 0.4)),
+    "centre mass": effect("centre_mass", share=between(0.2, 0.6)),
+    "drag": effect("drag_scale", frame=between(1.3, 2.0)),
+    "scale": effect("camera_scale", scale=lambda rng: 1.0 + signed(0.03, 0.08)(rng)),
+    "late limb": effect("limb_wear", limb=any_limb, delay_s=between(0.06, 0.15)),
+    "mass": effect("mass_scale", frame=between(1.3, 2.0)),
+    "off-centre": effect("off_centre_mass", forward_m=_OFF_M, left_m=_OFF_M),
+    "shear": effect("shear_current", x_per_s=signed(0.02, 0.06)),
+    "vortex": effect(
+        "vortex", circulation_m2ps=_TURN_M2PS, x_m=between(0.05, 0.3), y_m=between(-0.1, 0.1),
+        core_m=between(0.1, 0.25),
+    ),
     "wall": _wall,
-    "group loss": _group_loss,
-}
+    "group loss": effect("group_loss", loss=between(0.3, 0.6), fade_s=between(0.1, 0.3)),
+}  # fmt: skip
 SAME: Mapping[str, tuple[str, ...]] = {
     # Where rear limbs never fire without front ones, what these take from them is always the same share.
     "group loss": ("group_gain", "group_loss"),
+    "whirl": ("shear_current", "vortex"),
 }
 """Kinds that are another effect as well for a robot with the paper's nine actions."""
 
@@ -237,53 +171,32 @@ PAIRS = (
 )
 
 
-def _drawn(names: Sequence[str], rng: np.random.Generator) -> list[Table]:
-    return [ONES[name](rng) for name in names]
+OUTSIDES: Mapping[str, Draw] = {
+    "heading gain": effect(
+        "HeadingGain", OUTSIDE_FILE, depth=between(0.2, 0.5), towards_rad=between(-3.0, 3.0)
+    ),
+    "clock gain": effect("ClockGain", OUTSIDE_FILE, depth=between(0.2, 0.5), period_s=between(8.0, 20.0)),
+    "weeds": effect("Weeds", OUTSIDE_FILE, drag=between(0.1, 0.5), pitch_m=between(0.2, 0.4)),
+    "waves": effect("Waves", OUTSIDE_FILE, speed_mps=between(0.005, 0.02), period_s=between(6.0, 15.0)),
+    "whirl": effect("Whirl", OUTSIDE_FILE, turns_per_s=signed(0.01, 0.05)),
+    "misfire 10 to 20 %": misfire(0.1, 0.2),
+    "misfire 20 to 30 %": misfire(0.2, 0.3),
+    "misfire 30 to 40 %": misfire(0.3, 0.4),
+    "lens": effect("SlowLens", OUTSIDE_FILE, bend_per_m=between(0.1, 0.3)),
+}
 
 
 def kinds() -> dict[str, Kind]:
     """All ways to plant something, by name."""
-    every = [Kind("null", NULL, lambda _rng: [])]
-    every += [Kind(name, ONE, partial(_drawn, (name,)), SAME.get(name, ())) for name in ONES]
-    every += [Kind(" + ".join(pair), TWO, partial(_drawn, pair)) for pair in PAIRS]
-    every += [
-        Kind(
-            "heading gain",
-            OUTSIDE,
-            lambda rng: _mine(
-                "HeadingGain", depth=between(rng, 0.2, 0.5), towards_rad=between(rng, -3.0, 3.0)
-            ),
-        ),
-        Kind(
-            "clock gain",
-            OUTSIDE,
-            lambda rng: _mine("ClockGain", depth=between(rng, 0.2, 0.5), period_s=between(rng, 8.0, 20.0)),
-        ),
-        Kind(
-            "weeds",
-            OUTSIDE,
-            lambda rng: _mine("Weeds", drag=between(rng, 0.1, 0.5), pitch_m=between(rng, 0.2, 0.4)),
-        ),
-        Kind(
-            "waves",
-            OUTSIDE,
-            lambda rng: _mine("Waves", speed_mps=between(rng, 0.005, 0.02), period_s=between(rng, 6.0, 15.0)),
-        ),
-        Kind(
-            "whirl",
-            OUTSIDE,
-            lambda rng: _mine("Whirl", turns_per_s=sign(rng) * between(rng, 0.01, 0.05)),
-            ("shear_current", "vortex"),
-        ),
-        *(
-            Kind(
-                f"misfire {low} to {high} %",
-                OUTSIDE,
-                partial(_misfire, 0.01 * low, 0.01 * high),
-            )
-            for low, high in ((10, 20), (20, 30), (30, 40))
-        ),
-        Kind("lens", OUTSIDE, lambda rng: _mine("SlowLens", bend_per_m=between(rng, 0.1, 0.3))),
-    ]
-    every += [Kind(name, LAWS, partial(drawn, draws)) for name, draws in DRAWN.items()]
-    return {kind.name: kind for kind in every}
+    planted: dict[str, dict[str, Sequence[Draw]]] = {
+        NULL: {"null": ()},
+        ONE: {name: (draw,) for name, draw in ONES.items()},
+        TWO: {" + ".join(pair): [ONES[name] for name in pair] for pair in PAIRS},
+        OUTSIDE: {name: (draw,) for name, draw in OUTSIDES.items()},
+        LAWS: dict(DRAWN),
+    }
+    return {
+        name: Kind(name, group, partial(drawn, draws), SAME.get(name, ()))
+        for group, of in planted.items()
+        for name, draws in of.items()
+    }

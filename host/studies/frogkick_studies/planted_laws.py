@@ -9,12 +9,50 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import Term
-from frogkick_studies.draws import LIMBS, Table, between, spread
+
+Table = dict[str, Any]
+"""An ``[[effect]]`` table of a world."""
+
+Random = np.random.Generator
+Draw = Callable[[Random], Table]
+LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
+
+
+def effect(kind: str | None = None, file: str = "", **values: Any) -> Draw:
+    """A built-in effect, or with ``file`` a class of that file, whose values are drawn in order."""
+    head = {"file": file, "class": kind} if file else {"name": kind}
+
+    def draw(rng: Random) -> Table:
+        return head | {name: value(rng) if callable(value) else value for name, value in values.items()}
+
+    return draw
+
+
+def any_limb(rng: Random) -> str:
+    """One of LIMBS."""
+    return str(rng.choice(LIMBS))
+
+
+def between(low: float, high: float) -> Callable[[Random], float]:
+    """Uniform, rounded as it is told."""
+    return lambda rng: float(np.round(rng.uniform(low, high), 5))
+
+
+def signed(low: float, high: float) -> Callable[[Random], float]:
+    """The same, of either sign."""
+    return lambda rng: float(rng.choice([-1.0, 1.0])) * between(low, high)(rng)
+
+
+def spread(low: float, high: float) -> Callable[[Random], float]:
+    """As likely in each factor of two: for strengths."""
+    return lambda rng: float(f"{np.exp(rng.uniform(np.log(low), np.log(high))):.4g}")
+
 
 LAWS_FILE = "planted_laws.py"
 LAWS_TEXT = '''"""Effects that neither the catalogue nor anybody's helper has."""
@@ -182,35 +220,7 @@ class Fan:
 '''
 
 
-def _planted(kind: str, **values: float | str) -> Table:
-    return {"file": LAWS_FILE, "class": kind, **values}
-
-
-def _cable(rng: np.random.Generator) -> Table:
-    """A cable, or as often a spring, which is taut everywhere."""
-    at = {"x": between(rng, -0.1, 0.5), "y": between(rng, -0.3, 0.3)}
-    length = between(rng, 0.1, 0.25) if rng.random() < 0.5 else 0.0
-    return _planted("Cable", stiffness=spread(rng, 0.003, 0.05), **at, length=length)
-
-
-def _sloshing(rng: np.random.Generator) -> Table:
-    way, phase = (between(rng, -math.pi, math.pi) for _ in range(2))
-    return _planted(
-        "Sloshing", speed=spread(rng, 0.003, 0.03), cycle=between(rng, 5.0, 10.0), way=way, phase=phase
-    )
-
-
-def misfire(rng: np.random.Generator, low: float = 0.1, high: float = 0.4) -> Table:
-    """A limb that does nothing in a share of its strokes, from ``low`` to ``high``."""
-    return _planted("Misfire", limb=str(rng.choice(LIMBS)), share=between(rng, low, high))
-
-
-def _break(rng: np.random.Generator) -> Table:
-    return _planted(
-        "Break", limb=str(rng.choice(LIMBS)), at=between(rng, 7.0, 13.0), rest=between(rng, 0.0, 0.6)
-    )
-
-
+HEADING = between(-math.pi, math.pi)
 PAIRS = (
     ("front_left", "front_right"),
     ("rear_left", "rear_right"),
@@ -221,69 +231,83 @@ PAIRS = (
 where both fire at once, is the one that is weaker."""
 
 
-def _shared_battery(rng: np.random.Generator) -> Table:
+def _planted(kind: str, **values: Any) -> Draw:
+    return effect(kind, LAWS_FILE, **values)
+
+
+def _cable(rng: Random) -> Table:
+    """A cable, or as often a spring, which is taut everywhere."""
+    at = {"x": between(-0.1, 0.5)(rng), "y": between(-0.3, 0.3)(rng)}
+    length = between(0.1, 0.25)(rng) if rng.random() < 0.5 else 0.0
+    return _planted("Cable", stiffness=spread(0.003, 0.05), **at, length=length)(rng)
+
+
+def _sloshing(rng: Random) -> Table:
+    way, phase = HEADING(rng), HEADING(rng)
+    return _planted("Sloshing", speed=spread(0.003, 0.03), cycle=between(5.0, 10.0), way=way, phase=phase)(
+        rng
+    )
+
+
+def misfire(low: float = 0.1, high: float = 0.4) -> Draw:
+    """A limb that does nothing in a share of its strokes, from ``low`` to ``high``."""
+    return _planted("Misfire", limb=any_limb, share=between(low, high))
+
+
+def _shared_battery(rng: Random) -> Table:
     limb, other = PAIRS[rng.integers(len(PAIRS))]
-    loss, within = between(rng, 0.25, 0.8), between(rng, 0.3, 0.6)
-    return _planted("SharedBattery", limb=limb, other=other, loss=loss, within=within)
+    battery = _planted(
+        "SharedBattery", limb=limb, other=other, loss=between(0.25, 0.8), within=between(0.3, 0.6)
+    )
+    return battery(rng)
 
 
-def _slime(rng: np.random.Generator) -> Table:
-    return _planted("Slime", drag=spread(rng, 2e-4, 2e-3), power=float(rng.choice([0.5, 1.0, 3.0])))
-
-
-def _by_heading(rng: np.random.Generator) -> Table:
-    return _planted("ByHeading", depth=between(rng, 0.1, 0.4), towards=between(rng, -math.pi, math.pi))
-
-
-def _patch(rng: np.random.Generator) -> Table:
+def _patch(rng: Random) -> Table:
     """Where the paper's paths lead through."""
-    at = {"x": between(rng, 0.1, 0.35), "y": between(rng, -0.08, 0.08)}
-    return _planted("Patch", drag=spread(rng, 0.2, 1.5), **at, radius=between(rng, 0.1, 0.2))
+    at = {"x": between(0.1, 0.35)(rng), "y": between(-0.08, 0.08)(rng)}
+    return _planted("Patch", drag=spread(0.2, 1.5), **at, radius=between(0.1, 0.2))(rng)
 
 
-def _clock(rng: np.random.Generator) -> Table:
-    cycle = between(rng, 5.0, 9.0)
-    late, share = between(rng, 0.08, 0.25), between(rng, 0.3, 0.6)
-    return _planted("LaggingClock", late=late, cycle=cycle, share=share, begin=between(rng, 0.0, cycle))
+def _clock(rng: Random) -> Table:
+    cycle = between(5.0, 9.0)(rng)
+    late, share = between(0.08, 0.25), between(0.3, 0.6)
+    return _planted("LaggingClock", late=late, cycle=cycle, share=share, begin=between(0.0, cycle))(rng)
 
 
-def _jumps(rng: np.random.Generator) -> Table:
-    return _planted("Jumps", share=between(rng, 0.02, 0.1), size=spread(rng, 0.003, 0.02))
-
-
-def _magnet(rng: np.random.Generator) -> Table:
-    return _planted("Magnet", torque=spread(rng, 1e-5, 1e-4), towards=between(rng, -math.pi, math.pi))
-
-
-def _fan(rng: np.random.Generator) -> Table:
-    force, way = spread(rng, 2e-4, 3e-3), rng.uniform(-math.pi, math.pi)
+def _fan(rng: Random) -> Table:
+    force, way = spread(2e-4, 3e-3)(rng), rng.uniform(-math.pi, math.pi)
     x, y = float(np.round(force * np.cos(way), 6)), float(np.round(force * np.sin(way), 6))
-    return _planted("Fan", x=x, y=y, at=between(rng, 7.0, 13.0))
+    return _planted("Fan", x=x, y=y, at=between(7.0, 13.0))(rng)
 
 
-Draw = Callable[[np.random.Generator], Table]
+def _power(rng: Random) -> float:
+    return float(rng.choice([0.5, 1.0, 3.0]))
+
+
+_BREAK = _planted("Break", limb=any_limb, at=between(7.0, 13.0), rest=between(0.0, 0.6))
+_BY_HEADING = _planted("ByHeading", depth=between(0.1, 0.4), towards=HEADING)
 
 DRAWN: Mapping[str, Sequence[Draw]] = {
     "spring to a point": (_cable,),
     "sloshing": (_sloshing,),
-    "misfire": (misfire,),
-    "break": (_break,),
-    "spring to a point + break": (_cable, _break),
+    "misfire": (misfire(),),
+    "break": (_BREAK,),
+    "spring to a point + break": (_cable, _BREAK),
     "shared battery": (_shared_battery,),
-    "other drag": (_slime,),
-    "thrust by heading": (_by_heading,),
+    "other drag": (_planted("Slime", drag=spread(2e-4, 2e-3), power=_power),),
+    "thrust by heading": (_BY_HEADING,),
     "patch of weeds": (_patch,),
     "sloshing + patch of weeds": (_sloshing, _patch),
     "lagging clock": (_clock,),
-    "jumping fixes": (_jumps,),
-    "magnet": (_magnet,),
+    "jumping fixes": (_planted("Jumps", share=between(0.02, 0.1), size=spread(0.003, 0.02)),),
+    "magnet": (_planted("Magnet", torque=spread(1e-5, 1e-4), towards=HEADING),),
     "fan from a moment on": (_fan,),
-    "spring to a point + thrust by heading": (_cable, _by_heading),
+    "spring to a point + thrust by heading": (_cable, _BY_HEADING),
 }
 """Kind -> what is planted at once. Every fifth is of two effects."""
 
 
-def drawn(draws: Sequence[Draw], rng: np.random.Generator) -> list[Table]:
+def drawn(draws: Sequence[Draw], rng: Random) -> list[Table]:
     """The tables of a world of a kind."""
     return [draw(rng) for draw in draws]
 

@@ -51,11 +51,10 @@ from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build, require_tools
 from frogkick_studies import Found
 from frogkick_studies.configs import Verdicts
-from frogkick_studies.draws import Table
+from frogkick_studies.in_pool import Lines
 from frogkick_studies.judged import Result, judged
-from frogkick_studies.kept import Lines
 from frogkick_studies.planted import LAWS, NULL, ONE, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, TWO, Kind, kinds
-from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT, enough_of
+from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT, Table, enough_of
 
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.95, OUTSIDE: 0.95, LAWS: 0.8}
 """Share of the cases of a group that must be right."""

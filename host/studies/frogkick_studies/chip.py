@@ -22,7 +22,7 @@ from frogkick.front.places import built_firmware, plan_config
 from frogkick.front.tables import robot_of_table, table_image
 from frogkick.paths import SHAPES, shape
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.plan import PathLike, PlanConfig
+from frogkick.planner.plan import PlanConfig
 from frogkick.pool.chip.cost import LEAST_COST, CostModel
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, TimedStates, states_for_timing
 from frogkick.tables.image import Tables, read_image

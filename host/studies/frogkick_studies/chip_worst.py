@@ -10,6 +10,7 @@ every reported time was counted there: the model selects states, and bounds thos
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +43,7 @@ class CycleModel:
 def fit_cycles(
     image: bytes,
     config: PlanConfig,
-    runs: list[tuple[PathLike, TimedStates, Int64]],
+    runs: Sequence[tuple[PathLike, TimedStates, Int64]],
     depth: int,
 ) -> CycleModel:
     """Fit the cost of each block.

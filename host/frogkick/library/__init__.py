@@ -1,4 +1,7 @@
-"""Sample states, simulate actions, keep the transitions, quantise them to tables."""
+"""Sample states, simulate actions, keep the transitions, quantise them to tables.
+
+Functions raise InputError for what they are given and cannot use, and ConvergenceError where the rods fail.
+"""
 
 from frogkick.library.build import (
     RECORD_S,

@@ -60,9 +60,6 @@ class Checkpoints:
             job: everything that its content depends on.
             name: of the job, for people.
             keep_others: raise if there are parts of another job, instead of deleting them.
-
-        Raises:
-            InputError: the folder is none of ours, or there are parts of another job.
         """
         self.folder = checkpoint_folder(out)
         self._name = name

@@ -250,9 +250,6 @@ def _fill(packed: Callable[[int], bytes], budget: int, states_max: int, row_byte
         budget: bytes.
         states_max: largest number of states.
         row_bytes: first guess of the bytes of a state.
-
-    Raises:
-        InputError: the budget is too small for one state.
     """
     image = packed(1)
     if len(image) > budget:

@@ -56,9 +56,6 @@ def planned_swims(
         robot: the swimmer, with the planner of its TOML.
         seed: of the paths; each swim has a generator of its own.
         workers, cluster: see frogkick.core.chunks; they do not change the swims.
-
-    Raises:
-        ConvergenceError: a swim could not be simulated.
     """
     job = Job(_start, (robot, seed, first_table(robot, seed)), _run, _warm)
     swims_per_round = _CLUSTER_BATCHES if cluster is not None else workers

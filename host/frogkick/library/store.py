@@ -91,11 +91,7 @@ class Library:
         )
 
     def save(self, file: Path | str) -> None:
-        """Write HDF5, completely or not at all. Only ``frogkick library build`` writes recorded motions.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write HDF5, completely or not at all. Only ``frogkick library build`` writes recorded motions."""
         write_library(self, file)
 
     def has_history(self) -> bool:
@@ -148,9 +144,6 @@ def write_library(
         out: the file.
         recorded_time_s: (s,) times of recorded motions; None: none.
         recorded: for each state (a, s, 6) poses and velocities at these times, see Transitions.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     states, actions, _ = library.displacement_body.shape
     times = np.empty(0) if recorded_time_s is None else recorded_time_s
@@ -187,11 +180,7 @@ def write_library(
 
 
 def read_library(path: Path | str) -> Library:
-    """Read and check a library.
-
-    Raises:
-        InputError: missing, not HDF5, truncated, another format or version, or inconsistent content.
-    """
+    """Read and check a library."""
     source = existing_file(path, "library")
     try:
         with h5py.File(source, "r") as file:
@@ -228,11 +217,7 @@ def read_library(path: Path | str) -> Library:
 
 
 def read_recorded(path: Path | str) -> Recorded:
-    """Read the motion within each transition of a library.
-
-    Raises:
-        InputError: see read_library.
-    """
+    """Read the motion within each transition of a library."""
     read_library(path)
     with h5py.File(path, "r") as file:
         motion = np.concatenate([file[name][()] for name in _RECORDED_UNITS], axis=3, dtype=np.float32)
@@ -259,11 +244,7 @@ def _check_recorded(file: h5py.File, shape: tuple[int, ...], path: Path | str) -
 
 
 def library_info(path: Path | str) -> dict[str, Any]:
-    """Facts about a library as plain values.
-
-    Raises:
-        InputError: see read_library.
-    """
+    """Facts about a library as plain values."""
     library = read_library(path)
     with h5py.File(path, "r") as file:
         recorded_s = float(max(file[_TIMES][()], default=0.0))
@@ -406,9 +387,6 @@ def quantise(library: Library) -> bytes:
 
     Returns:
         The image; equal libraries give equal bytes.
-
-    Raises:
-        InputError: a value out of the codes' range, with its row and column; or no complete state.
     """
     robot = library.robot()
     whole = library.whole_states()

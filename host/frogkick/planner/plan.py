@@ -1,4 +1,7 @@
-"""Planning on the host with the same bits as on the robot: one decision, or a batch."""
+"""Planning on the host with the same bits as on the robot: one decision, or a batch.
+
+Functions raise InputError for arrays whose shapes or values do not fit.
+"""
 
 from __future__ import annotations
 
@@ -255,11 +258,7 @@ def plan_batch(
 
 
 def path_rows(path: PathLike) -> Float32:
-    """A path as a (3, n) float32 array: x m, y m, tangent rad.
-
-    Raises:
-        InputError: the three arrays have different lengths.
-    """
+    """A path as a (3, n) float32 array: x m, y m, tangent rad."""
     columns = [_float32(column).reshape(-1) for column in (path.x_m, path.y_m, path.tangent_rad)]
     if len({len(column) for column in columns}) != 1:
         lengths = [len(column) for column in columns]
@@ -268,11 +267,7 @@ def path_rows(path: PathLike) -> Float32:
 
 
 def limb_use_rows(limb_use: npt.ArrayLike | None, count: int) -> UInt16:
-    """Limb uses as a (count, 8) uint16 array; None: rested; one row counts for all.
-
-    Raises:
-        InputError: another shape, or a value that is not a whole number of 0 to 65535.
-    """
+    """Limb uses as a (count, 8) uint16 array; None: rested; one row counts for all."""
     given = np.zeros((count, LIMBS_MAX)) if limb_use is None else np.asarray(limb_use)
     if given.shape == (LIMBS_MAX,):
         given = np.broadcast_to(given, (count, LIMBS_MAX))
@@ -287,11 +282,7 @@ def limb_use_rows(limb_use: npt.ArrayLike | None, count: int) -> UInt16:
 
 
 def along_rows(along_points: npt.ArrayLike, count: int) -> Float32:
-    """Places along a path as a (count,) float32 array.
-
-    Raises:
-        InputError: neither one value nor one for each state.
-    """
+    """Places along a path as a (count,) float32 array."""
     given = _float32(along_points)
     if given.shape not in ((), (1,), (count,)):
         raise InputError(f"along_points has shape {given.shape}, needed is ({count},): one for each state")

@@ -84,11 +84,7 @@ def require_shapes(**arrays: tuple[Float64, tuple[int, ...]]) -> None:
 
 
 def velocity_codes(what: str, values: Float64, about: Metadata) -> Int16:
-    """Velocities (..., 3) as codes, rounded half away from zero.
-
-    Raises:
-        TableError: a value that no code holds, by row and column.
-    """
+    """Velocities (..., 3) as codes, rounded half away from zero."""
     scale = about.velocity_scale
     _require_within(what, VELOCITY_COLUMNS, values, layout.VELOCITY_CODE_MAX, scale, about.action_rows)
     ratio = values / scale.astype(np.float64)
@@ -96,11 +92,7 @@ def velocity_codes(what: str, values: Float64, about: Metadata) -> Int16:
 
 
 def scales_of(motion: Float64, about: Metadata, error_max: Sequence[float]) -> tuple[Float32, Int64]:
-    """Motion per code, (3,), and codes per unit of a residual, (6,), that keep the wanted errors.
-
-    Raises:
-        TableError: a motion (n, a, 3) that no code holds, by row and column, or an unusable error.
-    """
+    """Motion per code, (3,), and codes per unit of a residual, (6,), that keep the wanted errors."""
     wanted = np.array(error_max, dtype=np.float64)
     require(
         wanted.shape == (4,) and bool(np.all(np.isfinite(wanted) & (wanted > 0.0))),
@@ -142,9 +134,6 @@ def sealed(
         columns, models: these sections.
         limb_wear: (l, k, 6) in SI; empty: no curves.
         numbers: further fields of layout.HEADER, zero where none is given.
-
-    Raises:
-        TableError: a residual of more bits than it has.
     """
     fits = residuals.max(axis=0) < 1 << np.minimum(bits, layout.BITS_MAX)
     require(bool(fits.all()), "a residual needs more bits than it has: choose a coarser error_max")

@@ -235,9 +235,6 @@ def compare_estimators(
         seeds: number of runs along each path.
         limit_s: time limit of a run in pool time, s.
         rates_hz: fixes per second.
-
-    Raises:
-        ConvergenceError: the simulation of the pool failed.
     """
     wanted = conditions(rates_hz)
     runs = [(path, seed) for path in range(len(paths)) for seed in range(seeds)]

@@ -62,11 +62,7 @@ class Believed:
 
 
 def choices_of(run: RunLog) -> Choices:
-    """Return a recorded run's decisions whose action is known.
-
-    Raises:
-        InputError: it has no path.
-    """
+    """Return a recorded run's decisions whose action is known."""
     if run.path is None:
         raise InputError(f"run {run.source!r} has no path: give the one that was followed")
     fixes, known = run.fixes, run.decisions.action >= 0
@@ -84,9 +80,6 @@ def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: Float64) ->
         runs: at least two, of the same robot, with DECISIONS_MIN decisions together.
         robot: the robot of the actions.
         nominal: (a, 3) initial motions; each number is scaled, so zeros stay zero.
-
-    Raises:
-        InputError: fewer decisions.
     """
     count = sum(len(run.actions) for run in runs)
     if len(runs) < 2 or count < DECISIONS_MIN:

@@ -379,12 +379,7 @@ class ChipStudy(Found):
 
 
 def run(config: Chip) -> ChipStudy:
-    """Time the planner of the bench image on the virtual chip over many states.
-
-    Raises:
-        InputError: a table of another robot, or an extra that is not installed.
-        ToolchainError: no compiler for the chip.
-    """
+    """Time the planner of the bench image on the virtual chip over many states."""
     require_tools("bench")
     image = table_image(config.tables, config.model)
     robot = robot_of_table(image, config.model)

@@ -65,9 +65,6 @@ def convergence(
 
     Returns:
         The curve of the strokes and the curve of the gaits.
-
-    Raises:
-        ConvergenceError: a simulation failed.
     """
     gaits = _gaits(robot)[::every]
 
@@ -152,12 +149,7 @@ class ConvergenceStudy(Found):
 
 
 def run(config: Convergence) -> ConvergenceStudy:
-    """Simulate strokes and gaits at several time steps, and compare them with a fine one.
-
-    Raises:
-        InputError: no such robot.
-        ConvergenceError: a simulation failed.
-    """
+    """Simulate strokes and gaits at several time steps, and compare them with a fine one."""
     with shown(True, "convergence") as tell:
         return ConvergenceStudy(convergence(load_robot(config.robot), tell, config.every))
 

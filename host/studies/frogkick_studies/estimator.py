@@ -94,11 +94,7 @@ class EstimatorStudy(Found):
 
 
 def run(config: Estimator) -> EstimatorStudy:
-    """Estimate states from bad fixes in the pool by three methods.
-
-    Raises:
-        InputError: an unknown path, or a table of another robot.
-    """
+    """Estimate states from bad fixes in the pool by three methods."""
     require_time(config.simulated_time)
     image = table_image(config.tables, config.model)
     robot = robot_of_table(image, config.model)

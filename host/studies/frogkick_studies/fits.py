@@ -156,9 +156,6 @@ def open_loop(
         test: fractions to predict; by default all but that of the fit, with ``test_folder`` all.
         test_folder: a second folder; the fit uses ``folder`` and the test this one, each with its own limb
             profiles.
-
-    Raises:
-        InputError: no data, a fraction without swims, too few swims to fit to, or none left to test on.
     """
     validation = run_validation(robot, folder, workers)
     other = validation if test_folder is None else run_validation(robot, test_folder, workers)

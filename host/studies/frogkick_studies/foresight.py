@@ -88,9 +88,6 @@ def foresee(
 
     Returns:
         The fastest plan, and each slower one that stays nearer than all faster ones.
-
-    Raises:
-        InputError: no plan reaches the path's end within ``DECISIONS_MOST`` decisions.
     """
     places_m, table = _places(path), arrays_of(tables)
     none = np.zeros(1, dtype=np.int64)
@@ -282,11 +279,7 @@ class ForesightStudy(Found):
 
 
 def run(config: Foresight) -> ForesightStudy:
-    """Plan a whole run at once, by the table.
-
-    Raises:
-        InputError: no such path or table, or a negative speed.
-    """
+    """Plan a whole run at once, by the table."""
     least = config.at_least
     if least is not None and not (math.isfinite(least) and least >= 0.0):
         raise InputError(f"--at-least {least} m/s: give a speed from 0 on")

@@ -82,10 +82,6 @@ def held_out(
     Args:
         runs: logs, or recorded runs (.csv).
         effects: a file of the user's own effects, which are tried as well.
-
-    Raises:
-        InputError: too few runs, one twice, one that cannot be read or used, or one with unreliable times of
-            its strokes (see ``frogkick.identification.segments.reliable``).
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(
@@ -290,11 +286,7 @@ class HeldOutStudy(Found):
 
 
 def run(config: Heldout) -> HeldOutStudy:
-    """Cross-validate: predict each run by the effects that all others show.
-
-    Raises:
-        InputError: too few runs, one twice, or one that cannot be read or used.
-    """
+    """Cross-validate: predict each run by the effects that all others show."""
     swims = [read_segments(run) for run in config.runs]
     _, unused = reliable(swims)
     for row in unused:

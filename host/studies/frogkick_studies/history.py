@@ -64,10 +64,6 @@ def history_worth(
         states: number of states of each library.
         test_states: number of unseen states.
         seed: seed of the libraries; the unseen states have the next one.
-
-    Raises:
-        InputError: too few states for an affine table.
-        ConvergenceError: a state cannot be simulated.
     """
     results: list[HistoryResult] = []
     steps = 6
@@ -134,11 +130,7 @@ class HistoryStudy(Found):
 
 
 def run(config: History) -> HistoryStudy:
-    """Simulate libraries of a robot and of tiring ones, and fit tables with and without limb use.
-
-    Raises:
-        InputError: no such robot.
-    """
+    """Simulate libraries of a robot and of tiring ones, and fit tables with and without limb use."""
     with shown(True, "limb history") as tell:
         robot = load_robot(config.robot)
         return HistoryStudy(

@@ -170,11 +170,7 @@ class Course:
 
 
 def course_of(name: str) -> Course:
-    """Return a shape by name, from its first point along its tangent.
-
-    Raises:
-        InputError: no such shape.
-    """
+    """Return a shape by name, from its first point along its tangent."""
     path = shape(name)
     return Course(name, path, start_pose(path))
 
@@ -218,9 +214,6 @@ def run_cases(
         planners, settings: planners and worlds of the cases.
         out: folder for results and firmware.
         courses: further paths of the cases besides shapes.
-
-    Raises:
-        FrogkickError: an error of the robot, the pool or the tables.
     """
     libraries = {
         name: build("native", path, robot, out / f"firmware-{name}").image for name, path in tables.items()
@@ -326,11 +319,7 @@ def _run(ready: _Ready, case: Case) -> Outcome:
 
 
 def shape_names(given: Sequence[str] | None) -> list[str]:
-    """Return names of shapes, each once; the paper's if none is given.
-
-    Raises:
-        InputError: no such shape.
-    """
+    """Return names of shapes, each once; the paper's if none is given."""
     names = list(given or SHAPES)
     for name in names:
         shape(name)
@@ -352,9 +341,6 @@ def library_of(
         given: its file; None: ``made``.
         made: file that is written if it does not exist.
         states, sampling: as for ``build_library``.
-
-    Raises:
-        InputError: it is of another robot, or of another version of it.
     """
     source = made if given is None else given
     if given is None and not made.exists():
@@ -367,11 +353,7 @@ def library_of(
 
 
 def fit_own_table(library: Library, image: Path) -> None:
-    """Write the affine table of 64 KiB of a library.
-
-    Raises:
-        InputError: it has too few states.
-    """
+    """Write the affine table of 64 KiB of a library."""
     with shown(True, "robot's table") as tell:
         write_bytes(image, fit_table(library, "affine", BUDGET_BYTES, tell).image)
 

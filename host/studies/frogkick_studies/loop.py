@@ -77,11 +77,7 @@ def planners_of(robot: Robot, learn: bool = False) -> tuple[Planner, ...]:
 
 
 def setting_of(word: str, robot: Robot) -> Setting:
-    """Return a world by name ("nominal", "hidden"), or from a TOML file, whose name becomes the world's.
-
-    Raises:
-        InputError: no such file, an invalid effect in it, or one that does not fit the robot.
-    """
+    """Return a world by name ("nominal", "hidden"), or from a TOML file, whose name becomes the world's."""
     for known in (NOMINAL, HIDDEN):
         if word == known.name:
             return known
@@ -92,11 +88,7 @@ def setting_of(word: str, robot: Robot) -> Setting:
 
 
 def settings_of(words: Sequence[str], robot: Robot) -> tuple[Setting, ...]:
-    """Return several worlds; see ``setting_of``.
-
-    Raises:
-        InputError: see there; or two worlds of one name.
-    """
+    """Return several worlds; see ``setting_of``."""
     settings = tuple(setting_of(word, robot) for word in words)
     names = [setting.name for setting in settings]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -214,12 +206,7 @@ class PlannersCompared(Found):
 
 
 def run(config: Loop) -> PlannersCompared:
-    """Compare the paper's planner with the robot's at depth 1 to 3: distance to the path and progress.
-
-    Raises:
-        InputError: an unknown path or world, or a library of another robot.
-        ToolchainError: no compiler for the core.
-    """
+    """Compare the paper's planner with the robot's at depth 1 to 3: distance to the path and progress."""
     robot = load_robot(config.robot)
     settings = settings_of(list(config.world or (NOMINAL.name, HIDDEN.name)), robot)
     names = shape_names(config.path)

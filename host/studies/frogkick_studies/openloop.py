@@ -201,11 +201,7 @@ def _gain(gain: dict[str, Any]) -> str:
 
 
 def run(config: Openloop) -> OpenLoopStudy:
-    """Fit effects to some groups of measured swims, and predict the speeds of those left out.
-
-    Raises:
-        InputError: no data, a fraction without swims, too few to fit to, or none left to test on.
-    """
+    """Fit effects to some groups of measured swims, and predict the speeds of those left out."""
     data, train, test = config.data_dir, config.train, config.test
     if (train is None) != (test is None) or (train is None) == (data is None):
         raise InputError("give DATA_DIR, or both --train DIR and --test DIR")
@@ -221,11 +217,7 @@ def run(config: Openloop) -> OpenLoopStudy:
 
 
 def save_robots(nominal: Robot, found: OpenLoop, folder: Path) -> list[Path]:
-    """Write for each split the nominal robot with the fitted effects (TOML), and return the files.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Write for each split the nominal robot with the fitted effects (TOML), and return the files."""
     files = []
     for split in found.splits:
         name = re.sub(r"[^a-z0-9.]+", "-", split.name.lower()).strip("-")

@@ -109,9 +109,6 @@ def follow_paths(
 
     Returns:
         The runs, by path, source, depth and seed; the same for any number of processes.
-
-    Raises:
-        ConvergenceError: the rods failed.
     """
     lanes = [tuple(range(first, min(first + WIDTH, seeds))) for first in range(0, seeds, WIDTH)]
     tasks = [Task(p, s, d, some) for p in paths for s in SOURCES for d in depths for some in lanes]
@@ -302,9 +299,6 @@ def swim_a_period(
 ) -> dict[int, tuple[Float64, Float64]]:
     """Advance some lanes by one action and period; return (k,) times and (k, MOTION) rows of each, with the
     start.
-
-    Raises:
-        ConvergenceError: the rods failed.
     """
     start_s, before, until = batch.time_s.copy(), batch.motion_world(), batch.time_s.copy()
     for lane, action in actions.items():
@@ -342,9 +336,6 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
         each node of the tree: the present, then the ends of actions 0, 1, .., then the sequences (0, 0), (0,
             1),
         ...
-
-    Raises:
-        ConvergenceError: the rods failed.
     """
     lanes, actions, nodes = batch.lanes, len(robot.actions), 1
     levels: list[Float64] = []

@@ -164,11 +164,7 @@ RESAMPLES, LOWER = 2000, 0.025
 def plans_of(
     here: _Rows, there: _Rows, train: Sequence[float], test: Sequence[float], apart: bool
 ) -> list[tuple[str, str, list[ExperimentResult], list[ExperimentResult]]]:
-    """Return kind, name, training swims and test swims of each split.
-
-    Raises:
-        InputError: see ``open_loop``.
-    """
+    """Return kind, name, training swims and test swims of each split."""
     by_fraction, aims = _by_fraction(here), _by_fraction(there)
     known = ", ".join(f"{percent:g} % ({len(rows)})" for percent, rows in by_fraction.items()) or "none"
     for percents, rows in ((train, by_fraction), (test, aims)):

@@ -87,10 +87,6 @@ def table_sizes(
         test_states: number of unseen states of each sampling, box and swims.
         seed: seed of their sampling, not that of the library.
         swims: "planned" or "visited", see ``sample_starts``.
-
-    Raises:
-        InputError: the library has too few states for an affine table.
-        ConvergenceError: an unseen state cannot be simulated.
     """
     require_enough(library)
     robot = library.robot()
@@ -191,11 +187,7 @@ class TableStudy(Found):
 
 
 def run(config: Tables) -> TableStudy:
-    """Make tables of many sizes from a library, and measure each on unseen states.
-
-    Raises:
-        InputError: no such library, or one with too few states.
-    """
+    """Make tables of many sizes from a library, and measure each on unseen states."""
     content = read_library(config.library)
     with shown(True, "tables") as tell:
         sizes = table_sizes(content, config.test_states, config.seed, tell, config.swims)

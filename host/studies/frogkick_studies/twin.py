@@ -101,11 +101,7 @@ class Mean:
 
 
 def world_of(robot: Robot) -> Setting:
-    """Return the world of the effects of a robot's file.
-
-    Raises:
-        InputError: the file has no effects, or the robot's folder is not known.
-    """
+    """Return the world of the effects of a robot's file."""
     if not robot.effects:
         raise InputError(
             f"robot {robot.title!r} has no [[effect]]: name one that was fitted to runs, as frog2022-measured"
@@ -121,11 +117,7 @@ def body_of(robot: Robot) -> Robot:
 
 
 def require_related(robot: Robot, nominal: Robot) -> None:
-    """Raise an error if one robot cannot be the model of the other.
-
-    Raises:
-        InputError: they differ in id, limbs, actions or times.
-    """
+    """Raise an error if one robot cannot be the model of the other."""
     for what in ("id", "period_s", "pulse_s", "second_delay_s", "actions"):
         if getattr(robot, what) != getattr(nominal, what):
             raise InputError(
@@ -154,12 +146,7 @@ def planners_of_twin(robot: Robot, is_believed_known: bool) -> tuple[Planner, ..
 
 
 def read_runs(folder: Path) -> list[Recorded]:
-    """Read the paper's recorded runs of a folder that have their path beside them.
-
-    Raises:
-        InputError: no such folder, no run in it; a run that is damaged, without motion, or with unreliable
-            times of its strokes.
-    """
+    """Read the paper's recorded runs of a folder that have their path beside them."""
     if not folder.is_dir():
         raise InputError(f"--runs {str(folder)!r} is no folder: name one with line1.csv and linep1.csv")
     files = [file for file in sorted(folder.iterdir()) if RUN_NAME.fullmatch(file.name)]
@@ -322,12 +309,7 @@ class TwinStudy(Found):
 
 
 def run(config: Twin) -> TwinStudy:
-    """Compare the paper's planner and the robot's in the pool of a robot as its recorded runs show it.
-
-    Raises:
-        InputError: a robot without effects, a model that cannot be its own, or unusable recorded runs.
-        ToolchainError: no compiler for the core.
-    """
+    """Compare the paper's planner and the robot's in the pool of a robot as its recorded runs show it."""
     robot, nominal = load_robot(config.robot), load_robot(config.model)
     setting = world_of(robot)
     require_related(robot, nominal)

@@ -116,9 +116,6 @@ def run_cases(
         workers: processes.
         progress: called with cases done and to do.
         laws: search laws in all groups.
-
-    Raises:
-        FrogkickError: of the robot, the pool or the tables.
     """
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / OUTSIDE_FILE, OUTSIDE_TEXT)
@@ -297,12 +294,7 @@ class VerdictStudy(Found):
 
 
 def run(config: Verdicts) -> VerdictStudy:
-    """Plant effects in simulated pools, identify them from the runs, and count what comes out.
-
-    Raises:
-        InputError: an unknown kind, or a folder that cannot be written to.
-        ToolchainError: no compiler for the core.
-    """
+    """Plant effects in simulated pools, identify them from the runs, and count what comes out."""
     known = kinds()
     for name in config.kind or ():
         if name not in known:

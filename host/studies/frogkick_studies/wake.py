@@ -189,11 +189,7 @@ def _left_out(series: dict[str, Series], name: str) -> LeftOut:
 
 
 def run(config: Wake) -> WakeStudy:
-    """Fit a wake to the series over phase of a data folder, and predict another series.
-
-    Raises:
-        InputError: no such folder, fewer than two series over phase, or no limb profile of the gait.
-    """
+    """Fit a wake to the series over phase of a data folder, and predict another series."""
     from scipy import stats
 
     robot = load_robot(config.robot)

@@ -200,9 +200,6 @@ def started(
 
     These are all that the hypothesis names but the one that is ``fitted``, and those that are nominal in the
     calibrated file.
-
-    Raises:
-        InputError: no built-in robot is this one with effects.
     """
     starts = calibrated_starts(robot)
     if not starts:
@@ -335,11 +332,7 @@ def _row_json(row: Row) -> dict[str, Any]:
 
 
 def run(config: Water) -> WaterStudy:
-    """Judge each hypothesis by a data folder.
-
-    Raises:
-        InputError: no such folder, no measured swim in it, or a gait that does not converge.
-    """
+    """Judge each hypothesis by a data folder."""
     robot = load_robot(config.robot)
     with shown(True, "water: swims") as tell:
         found = validate(robot, config.data_dir, config.processes, tell)
@@ -394,11 +387,7 @@ def run(config: Water) -> WaterStudy:
 
 
 def _speeds(robot: Robot, profiles: Profiles, gaits: Sequence[Gait], workers: int) -> Float64:
-    """Return (len(gaits),) speeds, m/s.
-
-    Raises:
-        InputError: a gait does not converge.
-    """
+    """Return (len(gaits),) speeds, m/s."""
     swum, failed = swum_of(robot, profiles, set(gaits), workers, None)
     if failed:
         raise InputError(f"{robot.effects}: {next(iter(failed.values()))}")

@@ -263,12 +263,7 @@ class WeightsTuned(Found):
 
 
 def run(config: Weights) -> WeightsTuned:
-    """Tune the weights of a robot's planner.
-
-    Raises:
-        InputError: no such table or robot, or a robot whose planner has the published cost.
-        ToolchainError: no C compiler.
-    """
+    """Tune the weights of a robot's planner."""
     image = table_image(config.tables, config.model)
     robot = robot_of_table(image, config.model)
     tables, planner = read_image(image), plan_config(robot, "robot", config.depth)

@@ -1,4 +1,7 @@
-"""Writes a directory of C that plans for one robot and builds alone: table, planner, settings, example."""
+"""Writes a directory of C that plans for one robot and builds alone: table, planner, settings, example.
+
+Its planner alone is also built for the chip, for a host that measures it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ import shlex
 import shutil
 import tempfile
 from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 import jinja2
@@ -19,9 +24,43 @@ from frogkick.core.weights import WEIGHTS
 from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables, open_image, read_image
-from frogkick_codegen.figures import Figures
 from frogkick_codegen.native import PLANNER_SOURCES, planner_files
-from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES
+from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES, STANDARD, firmware_sources, zig
+
+
+@dataclass(frozen=True)
+class DepthTime:
+    """Times of one decision at a depth, at 64 MHz: states timed, mean and worst."""
+
+    states: int
+    mean_ms: float
+    worst_ms: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Measured on the emitted files themselves, compiled for the nRF52832.
+
+    Attributes:
+        compiler: that built them, with its version.
+        flags: that decide on size and speed.
+        code_bytes: flash of the planner's code and constants, without the table.
+        ram_bytes: type of the interface -> its size.
+        static_bytes: RAM that the planner keeps itself.
+        stack_bytes: the most that a call of the function can use, by function.
+        open_ms: checking and opening the table, once after start-up.
+        times: depth -> times of a decision.
+    """
+
+    compiler: str
+    flags: str
+    code_bytes: int
+    ram_bytes: Mapping[str, int]
+    static_bytes: int
+    stack_bytes: Mapping[str, int]
+    open_ms: float
+    times: Mapping[int, DepthTime]
+
 
 _MARK = "Do not edit: made by frogkick codegen"
 _RENDERED = ("fk_table.h", "fk_table.c", "fk_config.h", "fk_sizes.h", "example_main.c", "README.md")
@@ -245,3 +284,42 @@ def _refuse_foreign(target: Path, given: Path, names: set[str]) -> None:
                 f"--out {str(given)!r} holds {entry.name!r}, which codegen did not write: "
                 "choose another directory, or remove it"
             )
+
+
+_BARE = (
+    "-ffreestanding", "-ffunction-sections", "-fdata-sections",
+    "-fno-unwind-tables", "-fno-asynchronous-unwind-tables",
+)  # fmt: skip
+NOT_PLANNER = ("main", "fk_reset", "fk_fault", "fk_clock_init", "memcpy", "memset", "vectors")
+"""What such an image holds besides planner and table."""
+
+
+def compiler_name() -> tuple[str, str]:
+    """Return who compiles it, with the version, and the flags that size and speed depend on."""
+    return f"{zig('chip').version} cc", STANDARD[-1]
+
+
+def build_planner(emitted: Path, elf: Path) -> Path:
+    """Build the planner of an emitted directory for the chip.
+
+    Args:
+        emitted: what ``emit`` wrote.
+        elf: where the image goes.
+
+    Raises:
+        InputError: the chip's start-up code is not installed.
+        ToolchainError: no compiler, or a refused source.
+    """
+    bench = firmware_sources() / "bench"
+    main = resources.files("frogkick_codegen") / "templates" / "measure_main.c"
+    with resources.as_file(main) as file:
+        zig("chip").run(
+            [
+                *FLAGS, *_BARE, f"-I{emitted}", f"-I{bench}",
+                "-nostdlib", "-Wl,--entry=fk_reset", f"-Wl,-T,{bench / 'nrf52832.ld'}", "-Wl,--gc-sections",
+                *(emitted / name for name in SOURCES), bench / "startup.c", bench / "clock.c",
+                file, "-o", elf,
+            ],
+            folder=elf.parent,
+        )  # fmt: skip
+    return elf

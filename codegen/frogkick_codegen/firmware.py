@@ -25,10 +25,16 @@ from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen import declared
 from frogkick_codegen.emit import emit, render
-from frogkick_codegen.kept import built_once
 from frogkick_codegen.map_file import write_map
-from frogkick_codegen.sources import firmware_sources
-from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, zig, zig_folders
+from frogkick_codegen.toolchain import (
+    FLAGS,
+    Compiler,
+    ToolchainError,
+    built_once,
+    firmware_sources,
+    zig,
+    zig_folders,
+)
 
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024

@@ -14,7 +14,7 @@ import jinja2
 from frogkick.core.files import write_text
 from frogkick.core.weights import WEIGHTS
 from frogkick.link.layout import Field, Payload, link_layout, supervisor
-from frogkick_codegen.sources import firmware_sources
+from frogkick_codegen.toolchain import firmware_sources
 
 _FIRMWARE = firmware_sources()
 HEADER = _FIRMWARE / "core" / "fk_frames_layout.h"

@@ -1,20 +1,26 @@
-"""C compilers: the one that came as a wheel (zig), and others where a machine has them."""
+"""C compilers: the one that came as a wheel (zig), others where a machine has them; and what they need.
+
+The sources of the firmware are inside this package where a wheel was installed, beside it in a clone. What a
+compiler made of the same files before is kept in the user's cache folder.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from frogkick.core.errors import FrogkickError, nearest_name
+from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.core.extras import require
-from frogkick.core.files import cache_folder
+from frogkick.core.files import cache_folder, write_bytes
 
 STANDARD = ("-std=c99", "-O2")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wmissing-prototypes", "-Werror")
@@ -146,3 +152,70 @@ def _run(name: str, command: list[str], folder: Path | None) -> subprocess.Compl
         ) from error
     except OSError as error:
         raise ToolchainError(f"{name} cannot be started ({error.strerror}): install it again") from error
+
+
+KEPT_MAX = 64
+"""Builds kept, some 350 KB each; the one that was not wanted for longest goes first."""
+
+_DIGEST_BYTES = 32
+
+
+def built_once(
+    compiler: Compiler,
+    flags: Sequence[str],
+    places: Sequence[str | Path],
+    files: Iterable[Path],
+    output: Path,
+) -> bytes:
+    """Compile, or return what this compiler made of the same flags and files before.
+
+    Several processes may do so at once: a whole file is renamed into place. One that was damaged since is
+    not believed, and a folder that cannot be written to keeps nothing.
+
+    Args:
+        compiler: called as ``flags places -o output`` in the folder of ``output``.
+        flags: those that name no place.
+        places: sources, folders of headers and such; where they are must not change a byte of the output.
+        files: all that is read there, in the same order each time.
+        output: what is made, where it must be.
+
+    Raises:
+        ToolchainError: a refused source, or no cache folder.
+    """
+    digest = hashlib.sha256()
+    for text in (compiler.name, compiler.version, *compiler.target_flags, *flags):
+        digest.update(text.encode() + b"\0")
+    for file in files:
+        content = file.read_bytes()
+        digest.update(file.name.encode() + b"\0" + len(content).to_bytes(8, "little") + content)
+    kept = cache_folder("firmware") / digest.hexdigest()[:_DIGEST_BYTES]
+    with suppress(OSError):
+        stored = kept.read_bytes()
+        if hashlib.sha256(stored[_DIGEST_BYTES:]).digest() == stored[:_DIGEST_BYTES]:
+            os.utime(kept)
+            return stored[_DIGEST_BYTES:]
+    compiler.run([*flags, *places, "-o", output], folder=output.parent)
+    made = output.read_bytes()
+    with suppress(OSError, InputError):
+        write_bytes(kept, hashlib.sha256(made).digest() + made)
+        newest = sorted(kept.parent.iterdir(), key=lambda file: file.stat().st_mtime_ns, reverse=True)
+        for file in newest[KEPT_MAX:]:
+            file.unlink()
+    return made
+
+
+_PACKAGE = Path(__file__).resolve().parent
+_PLACES = (_PACKAGE / "firmware_sources", _PACKAGE.parents[1] / "firmware")
+_PARTS = ("core", "bench")
+
+
+def firmware_sources() -> Path:
+    """Return the folder that holds the core, the bench image's port and the Zephyr application.
+
+    Raises:
+        InputError: it is in neither place.
+    """
+    for folder in _PLACES:
+        if all((folder / part).is_dir() for part in _PARTS):
+            return folder
+    raise InputError("the firmware's C sources are not with the package that is installed: install it again")

@@ -13,8 +13,7 @@ from frogkick.core.shared_library import ffi_of, load
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick_codegen import declared
-from frogkick_codegen.native import build_shared, native_entries, planner_files
-from frogkick_codegen.native_tables import NativeTables
+from frogkick_codegen.native import NativeTables, build_shared, native_entries, planner_files
 from frogkick_codegen.toolchain import FLAGS, other
 
 COVERAGE_DIR = os.environ.get("FK_PLANNER_COVERAGE_DIR")

@@ -18,10 +18,8 @@ from frogkick.front.emitted import measure
 from frogkick.planner.plan import PlanConfig, plan
 from frogkick.tables.image import open_image
 from frogkick_codegen import toolchain
-from frogkick_codegen.emit import PARTS, SOURCES, emit
-from frogkick_codegen.figures import Figures
+from frogkick_codegen.emit import PARTS, SOURCES, Figures, build_planner, emit
 from frogkick_codegen.native import planner_files
-from frogkick_codegen.planner_image import build_planner
 
 COMMAND = "frogkick codegen frog.fkt --out planner"
 STATES = {1: 6, 2: 3}

@@ -13,10 +13,9 @@ from tests.runs import rig
 
 from frogkick.core.files import cache_folder
 from frogkick.robot import Robot, load_robot
-from frogkick_codegen import firmware, kept, toolchain
+from frogkick_codegen import firmware, toolchain
 from frogkick_codegen.firmware import TARGETS, build
-from frogkick_codegen.sources import firmware_sources
-from frogkick_codegen.toolchain import Compiler
+from frogkick_codegen.toolchain import Compiler, firmware_sources
 
 ROBOT = load_robot("frog2022")
 
@@ -146,12 +145,12 @@ def test_a_damaged_one_is_not_believed(tmp_path: Path, calls: list[Path]) -> Non
 def test_only_so_many_are_kept_and_the_last_wanted_stay(
     tmp_path: Path, calls: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept, "KEPT_MAX", 2)
+    monkeypatch.setattr(toolchain, "KEPT_MAX", 2)
     source = tmp_path / "small.c"
 
     def compiled(number: int) -> int:
         source.write_text(f"int fk_small(void);\nint fk_small(void) {{ return {number}; }}\n")
-        kept.built_once(toolchain.zig(), ["-c"], [source], [source], tmp_path / "small.o")
+        toolchain.built_once(toolchain.zig(), ["-c"], [source], [source], tmp_path / "small.o")
         return len(calls)
 
     assert [compiled(number) for number in (1, 2, 1, 3, 1, 2)] == [1, 2, 2, 3, 3, 4]

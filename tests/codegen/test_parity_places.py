@@ -31,7 +31,7 @@ from frogkick.tables.image import Tables, open_image
 from frogkick_codegen import firmware, toolchain
 from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import compare, make_cases, native_place, python_place
-from frogkick_codegen.sources import firmware_sources
+from frogkick_codegen.toolchain import firmware_sources
 
 SEED = 7
 DECISIONS = count(200, 200, 80)

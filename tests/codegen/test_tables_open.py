@@ -15,8 +15,7 @@ from tests.planner.test_image import WRONG, WRONG_AFFINE, WRONG_NEAREST
 from frogkick.planner.lookup import velocity_code
 from frogkick.tables import layout
 from frogkick.tables.image import TableError, open_image
-from frogkick_codegen.native import planner_files
-from frogkick_codegen.native_tables import NativeTables
+from frogkick_codegen.native import NativeTables, planner_files
 
 IMAGE = synthetic.image(states=41, actions=5)
 AFFINE = synthetic.affine_image(states=41, actions=5)

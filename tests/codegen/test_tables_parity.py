@@ -23,8 +23,7 @@ from frogkick.planner.lookup import (
 )
 from frogkick.tables.image import Tables, open_image
 from frogkick.tables.layout import LIMBS_MAX, VELOCITY_CODE_MAX
-from frogkick_codegen.native import planner_files
-from frogkick_codegen.native_tables import LookedUp, NativeTables
+from frogkick_codegen.native import LookedUp, NativeTables, planner_files
 
 Int64 = np.ndarray[Any, np.dtype[np.int64]]
 

@@ -19,8 +19,7 @@ from frogkick.runs.parity_scenario import ParityScenario, call_mismatches, recor
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
 from frogkick_codegen.emit import SOURCES
-from frogkick_codegen.sources import firmware_sources
-from frogkick_codegen.toolchain import FLAGS
+from frogkick_codegen.toolchain import FLAGS, firmware_sources
 
 pytestmark = pytest.mark.extra
 

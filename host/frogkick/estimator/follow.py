@@ -7,7 +7,7 @@ import enum
 import numpy as np
 
 from frogkick.core.arrays import Float32
-from frogkick.planner import route
+from frogkick.planner import costs
 from frogkick.planner.plan import Cost, PathLike, Plan, PlanConfig, path_rows
 from frogkick.tables.image import Tables
 
@@ -110,8 +110,8 @@ class Follow:
         """
         if self.coming is not None or self._mark is None or not self._is_route:
             return None
-        stroke_max = route.stroke_scale(self._reach_m)
-        segment, part, distance2, _ = route.project(self._path, stroke_max, self.along_points, x_m, y_m)
+        stroke_max = costs.stroke_scale(self._reach_m)
+        segment, part, distance2, _ = costs.project(self._path, stroke_max, self.along_points, x_m, y_m)
         if np.float32(segment) + part < self._path.shape[1] - 1:
             return None
         return self._end(np.sqrt(distance2))

@@ -14,9 +14,7 @@ from frogkick.pool.chip.image import Layouts, load_image
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, states_for_timing
 from frogkick.tables.image import read_image
-from frogkick_codegen.emit import emit
-from frogkick_codegen.figures import DepthTime, Figures
-from frogkick_codegen.planner_image import NOT_PLANNER, build_planner, compiler_name
+from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, compiler_name, emit
 
 STATES: Mapping[int, int] = {1: 60, 2: 30, 3: 12}
 """Depth -> number of timed states; this takes seconds, ``frogkick study chip`` takes minutes."""

@@ -35,7 +35,7 @@ from numba import njit
 from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import ALLOCATING, BARE, INNER, kept, stamp_of
 from frogkick.core.weights import WEIGHTS
-from frogkick.planner import route
+from frogkick.planner import costs
 from frogkick.planner.floats import sincos, wrap_angle
 from frogkick.planner.lookup import (
     DYNAMICS,
@@ -46,7 +46,6 @@ from frogkick.planner.lookup import (
     motion_of,
     velocity_code,
 )
-from frogkick.planner.paper_cost import nearest_point, pose_cost
 
 OK = 0
 ERROR_NOT_FINITE = -2
@@ -72,7 +71,7 @@ VALUES = 9
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
-_PER_STEP = np.float32(1.0 / route.STEPS_PER_STROKE)
+_PER_STEP = np.float32(1.0 / costs.STEPS_PER_STROKE)
 
 _typed_by_name: Any = namedtuple
 Settings = _typed_by_name("Settings", ("cost", "transitions_max", *WEIGHTS))
@@ -164,16 +163,16 @@ def motion_cost(search: _Search, level: int, depth: int) -> Any:
     if settings.cost == COST_PAPER:
         factor = _F1 + settings.level_weight * np.float32(depth - 1 - level)
         weights = (settings.distance_weight_per_m, settings.angle_weight_per_rad, settings.progress_weight)
-        return pose_cost(search.path, *weights, after[0], after[1], after[2]) * factor
+        return costs.pose_cost(search.path, *weights, after[0], after[1], after[2]) * factor
     low = max(0, search.knot[level] - 1)
-    ahead = 0 if search.held else route.AHEAD
-    high = min(max(search.knot[level], route.BEHIND if search.held else 0) + ahead, len(search.knots) - 1)
-    knot, place, distance2 = route.project_on_knots(search.knots, search.step, low, high, after[0], after[1])
+    ahead = 0 if search.held else costs.AHEAD
+    high = min(max(search.knot[level], costs.BEHIND if search.held else 0) + ahead, len(search.knots) - 1)
+    knot, place, distance2 = costs.project_on_knots(search.knots, search.step, low, high, after[0], after[1])
     search.knot[level + 1] = knot
     search.place[level + 1] = place
     stroke_max = search.step / _PER_STEP
     shortfall = stroke_max - min(place - search.place[level], stroke_max)
-    deviation = route.huber(distance2, settings.soft_distance_m)
+    deviation = costs.huber(distance2, settings.soft_distance_m)
     return settings.distance_weight_per_m * deviation + settings.progress_weight_per_m * shortfall
 
 
@@ -189,7 +188,7 @@ def end_cost(search: _Search, level: int, motion: AnyArray) -> Any:
     turned_sine, turned_cosine = sincos(wrap_angle(motion[2]) + settings.turn_lead * motion[2])
     end_cosine = cosine * turned_cosine - sine * turned_sine
     end_sine = sine * turned_cosine + cosine * turned_sine
-    angle = route.end_angle(
+    angle = costs.end_angle(
         search.knots,
         search.step,
         search.place[level],
@@ -228,11 +227,11 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
     if search.settings.cost == COST_ROUTE:
         here, before = search.poses[depth], search.poses[depth - 1]
         knot, place = search.knot[depth], search.place[depth]
-        glides = route.glide_cost(
+        glides = costs.glide_cost(
             search.settings, search.knots, search.step, knot, place, here, before, search.motion[2]
         )
         if search.settings.wall_weight_per_m > _F0:
-            glides = glides + route.wall_cost(search.settings, here, before)
+            glides = glides + costs.wall_cost(search.settings, here, before)
         cost = cost + glides
     if not is_pruned(search, first, cost):
         search.best_cost[0] = cost
@@ -361,21 +360,21 @@ def plan_one(
     numbers[0] = check(path, settings, depth, state, limb_use, along)
     if numbers[0] != OK:
         return
-    stroke_max = route.stroke_scale(table.stroke_max_m[0])
+    stroke_max = costs.stroke_scale(table.stroke_max_m[0])
     spacing = stroke_max * _PER_STEP
     is_route = settings.cost == COST_ROUTE
     knots = np.zeros(
-        (route.knot_count(depth, settings.look_ahead_m, spacing) if is_route else 1, 4), np.float32
+        (costs.knot_count(depth, settings.look_ahead_m, spacing) if is_route else 1, 4), np.float32
     )
     held = False
     if is_route:
-        segment, part, distance2, held = route.project(path, stroke_max, along, state[0], state[1])
+        segment, part, distance2, held = costs.project(path, stroke_max, along, state[0], state[1])
         numbers[3] = segment + int(part)
         values[1] = np.sqrt(distance2)
         values[2] = np.float32(segment) + part
-        route.lay_out(path, segment, part, spacing, knots)
+        costs.lay_out(path, segment, part, spacing, knots)
     else:
-        numbers[3], distance2 = nearest_point(path[0], path[1], state[0], state[1])
+        numbers[3], distance2 = costs.nearest_point(path[0], path[1], state[0], state[1])
         values[1] = np.sqrt(distance2)
         values[2] = np.float32(numbers[3])
     search = _Search(
@@ -388,7 +387,7 @@ def plan_one(
         np.zeros((DEPTH_MAX + 1, 3), dtype=np.float32),
         np.zeros((DEPTH_MAX + 1, DYNAMICS), dtype=np.int64),
         np.zeros(DEPTH_MAX + 1, dtype=np.int64),
-        np.full(DEPTH_MAX + 1, route.BEHIND, dtype=np.int64),
+        np.full(DEPTH_MAX + 1, costs.BEHIND, dtype=np.int64),
         np.zeros(DEPTH_MAX + 1, dtype=np.float32),
         np.zeros(DEPTH_MAX + 1, dtype=np.float32),
         np.zeros(2, dtype=np.int64),
@@ -398,13 +397,13 @@ def plan_one(
     search.poses[0, 0] = state[0]
     search.poses[0, 1] = state[1]
     search.poses[0, 2] = wrap_angle(state[2])
-    search.place[0] = np.float32(route.BEHIND) * spacing
+    search.place[0] = np.float32(costs.BEHIND) * spacing
     for axis in range(3):
         search.dynamics[0, axis] = velocity_code(state[3 + axis], _F1 / table.velocity_scale[axis])
     for limb in range(len(limb_use)):
         search.dynamics[0, 3 + limb] = limb_use[limb]
     search.rows[0] = find_row(table, search.dynamics[0])
-    moves = route.may_rest(settings, state, spacing, table.period_s[0])
+    moves = costs.may_rest(settings, state, spacing, table.period_s[0])
     numbers[1], numbers[4] = search_levels(search, depth, moves)
     numbers[2] = search.rows[0]
     numbers[5] = search.best[1]

@@ -80,7 +80,7 @@ class Cost(enum.IntEnum):
     """Cost of the planner."""
 
     PAPER = kernel.COST_PAPER  # Huang et al. 2022, Eq. 19
-    ROUTE = kernel.COST_ROUTE  # frogkick.planner.route
+    ROUTE = kernel.COST_ROUTE  # frogkick.planner.costs
 
 
 @dataclass(frozen=True)

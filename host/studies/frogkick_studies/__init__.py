@@ -1,8 +1,8 @@
 """Studies of the method, each a module with a ``run`` that returns a result with a figure (``frogkick
 study``).
 
-All functions raise InputError for what they are given and cannot use, ConvergenceError where the rods fail, and
-ToolchainError where a compiler is missing; the text says what to do.
+All functions raise InputError for what they are given and cannot use, ConvergenceError where the rods fail,
+and ToolchainError where a compiler is missing; the text says what to do.
 """
 
 from __future__ import annotations

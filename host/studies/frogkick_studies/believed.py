@@ -17,7 +17,7 @@ from numba import njit
 from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.library.store import table_metadata
-from frogkick.planner.paper_cost import pose_cost
+from frogkick.planner.costs import pose_cost
 from frogkick.planner.plan import PlanConfig, path_rows
 from frogkick.robot import Robot, mirror_of
 from frogkick.runs.runlog import RunLog

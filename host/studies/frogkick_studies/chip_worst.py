@@ -18,7 +18,7 @@ import numpy as np
 from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick.runs.chip_planner import TimedStates
-from frogkick_codegen.native_blocks import BlockCounter
+from frogkick_codegen.native import BlockCounter
 
 _RIDGE = 1e-3
 """Ridge of the fit, relative to a block's largest share: many blocks always run together."""

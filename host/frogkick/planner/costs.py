@@ -1,6 +1,7 @@
-"""The route cost in float32 (numba): progress along the path as stage cost, course as terminal cost.
+"""The planner's two costs in float32 (numba): the twins of cost.c and route.c.
 
-It is the twin of route.c, written from these rules:
+The paper's cost is Huang et al. 2022, Eq. 19 as its authors' runs logged it. The route cost has progress
+along the path as stage cost and course as terminal cost, written from these rules:
 
 - The path is a polyline. A state is projected onto it, and the projection is carried from decision to
   decision in points (2.25 lies a quarter of the way from point 2 to point 3). It is looked for only near the
@@ -328,3 +329,29 @@ def end_angle(
         return _F0
     aligned = (dx * course_x + dy * course_y) / np.sqrt(square)
     return np.sqrt(max(_F0, _F2 - _F2 * aligned))
+
+
+@njit(**INNER)
+def nearest_point(x_m: AnyArray, y_m: AnyArray, x: np.float32, y: np.float32) -> tuple[int, np.float32]:
+    """Return the index of the nearest path point, the lowest on ties, and the squared distance, m^2."""
+    index = 0
+    best = np.float32(np.inf)
+    for point in range(len(x_m)):
+        dx = x_m[point] - x
+        dy = y_m[point] - y
+        distance2 = dx * dx + dy * dy
+        if distance2 < best:
+            best = distance2
+            index = point
+    return index, best
+
+
+@njit(**INNER)
+def pose_cost(
+    path: AnyArray, distance_w: Any, angle_w: Any, progress_w: Any, x: Any, y: Any, heading: Any
+) -> Any:
+    """Return the cost of a pose: path (3, n) float32 x, y, tangent; the rest float32."""
+    index, distance2 = nearest_point(path[0], path[1], x, y)
+    angle = abs(wrap_angle(heading - path[2, index]))
+    progress = np.float32(index) / np.float32(path.shape[1] - 1)
+    return (distance_w * np.sqrt(distance2) + angle_w * angle) + progress_w * (_F1 - progress)

@@ -9,11 +9,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from tests.codegen.native_tables import NativeTables, native_tables_files
+
 from frogkick.core.shared_library import ffi_of, load
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick_codegen import declared
-from frogkick_codegen.native import NativeTables, build_shared, native_entries, planner_files
+from frogkick_codegen.native import build_shared, planner_files
 from frogkick_codegen.toolchain import FLAGS, other
 
 COVERAGE_DIR = os.environ.get("FK_PLANNER_COVERAGE_DIR")
@@ -23,7 +25,7 @@ COVERAGE_DIR = os.environ.get("FK_PLANNER_COVERAGE_DIR")
 def source_files() -> dict[str, bytes]:
     """Every file of the library by name: planner, the host's flat entries, the shim."""
     shim = Path(__file__).parent / "planner_shim.c"
-    return planner_files() | native_entries("native_tables.c") | {"planner_shim.c": shim.read_bytes()}
+    return planner_files() | native_tables_files() | {"planner_shim.c": shim.read_bytes()}
 
 
 FFI = ffi_of(declared.declarations(source_files()))

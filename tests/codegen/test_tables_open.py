@@ -8,6 +8,7 @@ import struct
 import numpy as np
 import pytest
 from tests.codegen import planner_c
+from tests.codegen.native_tables import NativeTables
 from tests.conftest import count
 from tests.planner import synthetic
 from tests.planner.test_image import WRONG, WRONG_AFFINE, WRONG_NEAREST
@@ -15,7 +16,7 @@ from tests.planner.test_image import WRONG, WRONG_AFFINE, WRONG_NEAREST
 from frogkick.planner.lookup import velocity_code
 from frogkick.tables import layout
 from frogkick.tables.image import TableError, open_image
-from frogkick_codegen.native import NativeTables, planner_files
+from frogkick_codegen.native import planner_files
 
 IMAGE = synthetic.image(states=41, actions=5)
 AFFINE = synthetic.affine_image(states=41, actions=5)

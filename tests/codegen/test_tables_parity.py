@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
+from tests.codegen.native_tables import LookedUp, NativeTables
 from tests.conftest import count, from_ci, some
 from tests.planner import synthetic
 
@@ -23,7 +24,7 @@ from frogkick.planner.lookup import (
 )
 from frogkick.tables.image import Tables, open_image
 from frogkick.tables.layout import LIMBS_MAX, VELOCITY_CODE_MAX
-from frogkick_codegen.native import LookedUp, NativeTables, planner_files
+from frogkick_codegen.native import planner_files
 
 Int64 = np.ndarray[Any, np.dtype[np.int64]]
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.identification.bootstrap import drawn_periods, mean_interval
 from frogkick.identification.fit import Fitted, Model, evaluate, fit_many, fit_on, step_bounds
 from frogkick.identification.penalty import (
@@ -29,8 +29,6 @@ from frogkick.identification.refine import STEPS_MAX, Refiner, fine_leg_s
 from frogkick.identification.segments import Segments, replicate_count
 from frogkick.identification.steps import cross_fitted, linearised_optimum
 from frogkick.identification.terms import Term
-
-FloatArray = NDArray[np.float64]
 
 DRAWS = 50
 """Resamples of the runs' periods for the stability selection."""
@@ -183,10 +181,7 @@ def swap_step(
     bound = min(penalised_deviance(each) for each in every) + margin * refiner.replicate_count
     equal = [each for each in every if penalised_deviance(each) < bound]
     first, *rest = sorted(equal, key=lambda each: (len(each.model.values), penalised_deviance(each)))
-    return (
-        first if first is current else refiner.refined(first),
-        [each.model.terms[place] for each in rest],
-    )
+    return (first if first is current else refiner.refined(first), [each.model.terms[place] for each in rest])
 
 
 def with_term_at(model: Model, place: int, term: Term) -> Model:
@@ -241,9 +236,7 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
     return fitted, kept
 
 
-def _complements(
-    model: Model, jacobian: FloatArray, before: int, gone: Term
-) -> list[tuple[Model, FloatArray]]:
+def _complements(model: Model, jacobian: Float64, before: int, gone: Term) -> list[tuple[Model, Float64]]:
     """The model with each of its laws at intervals replaced by its complement.
 
     The complement acts with the opposite sign in the remaining part of each cycle.
@@ -276,7 +269,7 @@ def _complements(
     return found
 
 
-def superfluous_term(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Segments]) -> int | None:
+def superfluous_term(fitted: Fitted, folds: Int64, swims: Sequence[Segments]) -> int | None:
     """Which of several terms does not improve the prediction of held-out parts of the training runs.
 
     By the cross-validated log density of the ends of periods (``steps.cross_fitted``), with and without each:
@@ -305,9 +298,7 @@ def superfluous_term(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[S
     return place if gains[place][1] <= 0.0 else None
 
 
-def stability(
-    fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Segments], searched: bool
-) -> list[float]:
+def stability(fitted: Fitted, rows: Bool, swims: Sequence[Segments], searched: bool) -> list[float]:
     """Stability selection: the share of resamples of the runs in which each term would have been taken.
 
     Blocks of periods of each run are drawn with replacement, and the linearised model is fitted to each
@@ -343,7 +334,7 @@ def stability(
     return [float(share) for share in taken / DRAWS]
 
 
-def _term_to_nominal(model: Model, place: int) -> tuple[FloatArray, Model]:
+def _term_to_nominal(model: Model, place: int) -> tuple[Float64, Model]:
     """The step that takes a term's parameters to nominal, and the model with them fixed."""
     gone = _values_of(model, place)
     back = np.zeros(len(model.values))

@@ -6,11 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.identification.steps import DOF, whitener
-
-FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 
@@ -21,7 +19,7 @@ FLIPS = 400
 """Random sign changes of blocks."""
 
 
-def mean_interval(runs: Sequence[FloatArray], rng: np.random.Generator) -> tuple[float, float]:
+def mean_interval(runs: Sequence[Float64], rng: np.random.Generator) -> tuple[float, float]:
     """Interval of the mean of all values of runs, by bootstrap over runs or over blocks of each run.
 
     A bootstrap of few blocks is too narrow: its variance is biased and it lacks the tails of Student's t. Its
@@ -40,7 +38,7 @@ def mean_interval(runs: Sequence[FloatArray], rng: np.random.Generator) -> tuple
     return min(low, value), max(high, value)
 
 
-def _resampled(runs: Sequence[FloatArray], rng: np.random.Generator) -> FloatArray:
+def _resampled(runs: Sequence[Float64], rng: np.random.Generator) -> Float64:
     """(RESAMPLES,) bootstrap means: over runs where these are many, else over circular blocks.
 
     Source: Kuensch 1989; Politis, Romano 1992 (circular blocks).
@@ -60,7 +58,7 @@ def _resampled(runs: Sequence[FloatArray], rng: np.random.Generator) -> FloatArr
     return totals / whole
 
 
-def drawn_periods(runs: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+def drawn_periods(runs: Int64, rng: np.random.Generator) -> Int64:
     """(n,) rows of a resample of periods: circular blocks of BLOCK of each run, drawn with replacement.
 
     Args:
@@ -77,9 +75,7 @@ def drawn_periods(runs: NDArray[np.int64], rng: np.random.Generator) -> NDArray[
     return np.concatenate(drawn)
 
 
-def standard_errors(
-    residuals: FloatArray, jacobian: FloatArray, scale: FloatArray, runs: NDArray[np.int64]
-) -> FloatArray:
+def standard_errors(residuals: Float64, jacobian: Float64, scale: Float64, runs: Int64) -> Float64:
     """(p,) standard errors of parameters at the maximum of the Student-t likelihood.
 
     Each is the larger of two estimates: by the curvature of the log likelihood, and by the block bootstrap
@@ -117,7 +113,7 @@ def standard_errors(
     return np.asarray(np.sqrt(variance * estimated) * size)
 
 
-def _at_best(whitened: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _at_best(whitened: Float64, columns: Float64) -> tuple[Float64, Float64]:
     """(n,) weights of whitened residuals, and (p, p) the inverse of the log likelihood's curvature.
 
     Args:
@@ -136,9 +132,7 @@ def _at_best(whitened: FloatArray, columns: FloatArray) -> tuple[FloatArray, Flo
     return weight, np.linalg.pinv(curvature + 1e-9 * whitened.size * np.eye(width))
 
 
-def moved_by(
-    change: FloatArray, residuals: FloatArray, jacobian: FloatArray, scale: FloatArray
-) -> FloatArray:
+def moved_by(change: Float64, residuals: Float64, jacobian: Float64, scale: Float64) -> Float64:
     """(p,) shift of the fitted parameters by a change of the residuals, to first order (influence function).
 
     Args:
@@ -156,11 +150,7 @@ def moved_by(
 
 
 def gain_by_chance(
-    residuals: FloatArray,
-    jacobian: FloatArray,
-    candidates: Sequence[FloatArray],
-    runs: NDArray[np.int64],
-    penalty: float,
+    residuals: Float64, jacobian: Float64, candidates: Sequence[Float64], runs: Int64, penalty: float
 ) -> float:
     """Predicted gain of the best of many candidates if none is true: the CONFIDENCE quantile.
 
@@ -186,7 +176,7 @@ def gain_by_chance(
         1
     ]
 
-    def weighed(columns: FloatArray) -> FloatArray:
+    def weighed(columns: Float64) -> Float64:
         whole = np.einsum("nip,ij->njp", columns, white) * weight[:, None, None]
         return np.asarray(whole.reshape(residuals.size, -1))
 

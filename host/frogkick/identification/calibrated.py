@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.effects import Effect
 from frogkick.effects.registry import effects_of
@@ -36,8 +36,6 @@ from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.steps import bounded_step, deviance_of, whiten, whitener
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot, built_in_robots, load_robot
-
-FloatArray = NDArray[np.float64]
 
 STEPS_MAX = 5
 """Steps of the fit at most."""
@@ -99,11 +97,7 @@ def term_of(table: dict[str, object], effect: Effect) -> Term:
 
 
 def refitted(
-    nominal: Fitted,
-    terms: Sequence[Term],
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    measured: bool = True,
+    nominal: Fitted, terms: Sequence[Term], swims: Sequence[Segments], rows: Bool, measured: bool = True
 ) -> Fitted | None:
     """Fit all effects of a calibrated start jointly; None if they explain too little for their number.
 
@@ -146,7 +140,7 @@ def at_best_noise(model: Model, swims: Sequence[Segments]) -> tuple[Model, float
     return models[best], deviances[best]
 
 
-def fitted_to_ends(begin: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], robot: Robot) -> Fitted:
+def fitted_to_ends(begin: Model, swims: Sequence[Segments], rows: Bool, robot: Robot) -> Fitted:
     """Fit a model to the ends of periods, with a coarsened frame and then with the robot's own."""
     model = GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(STEPS_MAX)
     rough = derivatives([model], swims, rows)[0]
@@ -179,7 +173,7 @@ def end_deviance(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> floa
     return deviance_of(end_residuals(rollouts, swims))
 
 
-def end_residuals(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> FloatArray:
+def end_residuals(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Float64:
     """(n, 3) residuals at the ends of all periods: forward, left (m), heading (rad).
 
     Periods without a measured end, or that no model can predict, are left out; those of a run whose
@@ -192,7 +186,7 @@ def end_residuals(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Flo
     return np.concatenate(rows)
 
 
-def end_errors(rollout: Rollout, swim: Segments) -> FloatArray:
+def end_errors(rollout: Rollout, swim: Segments) -> Float64:
     """(m, 3) residuals at the ends of a run's periods, by the pose at their starts; NaN if unknown."""
     gap = swim.measured - rollout.predicted
     gap[:, 2] = wrap_angle(gap[:, 2])
@@ -217,15 +211,15 @@ class GaussNewton:
         self.reach = np.where(self.is_factor, 0.5, 0.25 * (self.high - self.low))
         self.free = np.array([k not in self.model.fixed for k in range(len(parameters))], dtype=np.float64)
 
-    def _scaled(self, values: FloatArray) -> FloatArray:
+    def _scaled(self, values: Float64) -> Float64:
         logs = np.log(np.where(self.is_factor, values, 1.0))
         return np.where(self.is_factor, logs, values) / self.reach
 
-    def _values(self, scaled: FloatArray) -> FloatArray:
+    def _values(self, scaled: Float64) -> Float64:
         plain = scaled * self.reach
         return np.where(self.is_factor, np.exp(np.where(self.is_factor, plain, 0.0)), plain)
 
-    def linearised(self) -> tuple[FloatArray, list[FloatArray], list[FloatArray], float]:
+    def linearised(self) -> tuple[Float64, list[Float64], list[Float64], float]:
         """Scaled values (p,); of each run residuals (n, 3) and their derivatives (n, 3, p); the deviance."""
         at = self._scaled(self.model.values)
         high = self._scaled(self.high)
@@ -243,9 +237,7 @@ class GaussNewton:
             derivatives.append(columns)
         return at, residuals, derivatives, deviance_of(np.concatenate(residuals))
 
-    def stepped(
-        self, at: FloatArray, residuals: FloatArray, derivatives: FloatArray, damping: float
-    ) -> Model:
+    def stepped(self, at: Float64, residuals: Float64, derivatives: Float64, damping: float) -> Model:
         """The model one damped step further from a linearisation."""
         low, high = self._scaled(np.maximum(self.low, -1e9)), self._scaled(self.high)
         left, rows = whiten(whitener(residuals), residuals, derivatives)

@@ -10,12 +10,7 @@ import numpy as np
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import TellStage
 from frogkick.identification.backward import stability, superfluous_term, without
-from frogkick.identification.calibrated import (
-    best_end_deviance,
-    calibrated_starts,
-    end_deviance,
-    refitted,
-)
+from frogkick.identification.calibrated import best_end_deviance, calibrated_starts, end_deviance, refitted
 from frogkick.identification.fit import Model, derivatives, fit
 from frogkick.identification.jumps import Jumps
 from frogkick.identification.laws import Laws
@@ -26,15 +21,7 @@ from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Baseline, Found, folds_of, nominal_fit, search
 from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.terms import Term, catalogue
-from frogkick.identification.verdict import (
-    FOUND,
-    FOUND_LAW,
-    NOTHING,
-    Scored,
-    intervals,
-    scored,
-    verdict_of,
-)
+from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, Scored, intervals, scored, verdict_of
 from frogkick.robot import Robot
 
 STABLE = 0.8

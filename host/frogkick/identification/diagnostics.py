@@ -7,21 +7,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.poses import world_from_body
 from frogkick.identification.fit import Fitted
 from frogkick.identification.segments import Segments
-
-FloatArray = NDArray[np.float64]
 
 PERIODOGRAM_PERIODS, PERIODOGRAM_COUNT_MIN = 24, 16
 """Periods of the periodogram of the residuals, and the residuals that it needs at least."""
 
 
-def residual_diagnostics(
-    fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Segments]
-) -> dict[str, Any]:
+def residual_diagnostics(fitted: Fitted, rows: Bool, swims: Sequence[Segments]) -> dict[str, Any]:
     """Shares of the squared residuals at the ends of periods that each explanatory variable accounts for.
 
     Returns:
@@ -76,13 +72,13 @@ def residual_diagnostics(
     return {"shares": shares, "strongest": strongest, "by_action": by_action, "text": text}
 
 
-def _place(xy_m: FloatArray) -> FloatArray:
+def _place(xy_m: Float64) -> Float64:
     """(n, 6) polynomial of second degree in the position."""
     x, y = (xy_m - xy_m.mean(axis=0)).T
     return np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
 
 
-def _periodogram(values: FloatArray, clock_s: FloatArray) -> tuple[float, float]:
+def _periodogram(values: Float64, clock_s: Float64) -> tuple[float, float]:
     """Largest share of a periodogram, less the share by chance, and its period, s."""
     if len(values) < PERIODOGRAM_COUNT_MIN:
         return 0.0, 0.0
@@ -97,11 +93,11 @@ def _periodogram(values: FloatArray, clock_s: FloatArray) -> tuple[float, float]
     return max(found)
 
 
-def _dummies(labels: NDArray[np.int64]) -> FloatArray:
+def _dummies(labels: Int64) -> Float64:
     return np.asarray((labels[:, None] == np.unique(labels)[None, :]).astype(np.float64))
 
 
-def _share(values: FloatArray, design: FloatArray) -> float:
+def _share(values: Float64, design: Float64) -> float:
     """Share of the sum of squares of three scaled columns that a design explains: adjusted R^2."""
     count, freedom = len(values), int(np.linalg.matrix_rank(design))
     if count <= freedom + 1:

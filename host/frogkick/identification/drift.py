@@ -15,14 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import body_from_world, world_from_body, wrap_angle
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 RANDOM_WALKS = (0.01, 0.02, 0.05, 0.1, 0.2)
 """Candidates for the variance that an offset gains in a period, relative to that of the residuals."""
@@ -62,7 +60,7 @@ class Drift:
             for rollout, swim in zip(rollouts, swims, strict=True)
         ]
 
-    def _offsets(self, rollout: Rollout, swim: Segments, robot: Robot) -> FloatArray:
+    def _offsets(self, rollout: Rollout, swim: Segments, robot: Robot) -> Float64:
         """(m, 3) predicted offset at the end of each period, by the pose at its start."""
         firing, observed = firing_of(swim, robot), rollout.residuals[:, -3:]
         return np.column_stack(
@@ -79,7 +77,7 @@ class Drift:
         )
 
 
-def firing_of(swim: Segments, robot: Robot) -> FloatArray:
+def firing_of(swim: Segments, robot: Robot) -> Float64:
     """(m, limbs) 1 where a limb fires in a period, else 0."""
     found = np.zeros((len(swim.start_s), len(robot.limbs)))
     for time_s, limb in swim.strokes:
@@ -87,9 +85,7 @@ def firing_of(swim: Segments, robot: Robot) -> FloatArray:
     return found
 
 
-def filter_offsets(
-    observed: FloatArray, firing: FloatArray, random_walk: float, huber_sigma: float
-) -> FloatArray:
+def filter_offsets(observed: Float64, firing: Float64, random_walk: float, huber_sigma: float) -> Float64:
     """(m,) predicted offset of each period from those before it (Kalman filter).
 
     Args:
@@ -114,7 +110,7 @@ def filter_offsets(
     return expected
 
 
-def _moved(rollout: Rollout, offsets: FloatArray) -> FloatArray:
+def _moved(rollout: Rollout, offsets: Float64) -> Float64:
     """(m, 3) predictions plus offsets that are given by the pose at each period's start."""
     return rollout.predicted + world_from_body(rollout.start[:, 2], offsets)
 
@@ -152,12 +148,12 @@ def drift_of(rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robo
     )
 
 
-def _square(residuals: Sequence[FloatArray], axis: int, expected: Sequence[FloatArray]) -> float:
+def _square(residuals: Sequence[Float64], axis: int, expected: Sequence[Float64]) -> float:
     errors = [each[:, axis] - offset for each, offset in zip(residuals, expected, strict=True)]
     return float(np.nansum(np.concatenate(errors) ** 2))
 
 
-def _end_residuals(rollout: Rollout, swim: Segments) -> FloatArray:
+def _end_residuals(rollout: Rollout, swim: Segments) -> Float64:
     """(m, 3) measured minus predicted pose at each period's end: forward, left (m), heading (rad)."""
     gap = swim.measured - rollout.predicted
     gap[:, 2] = wrap_angle(gap[:, 2])

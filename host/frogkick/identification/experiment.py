@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.effects import Law
 from frogkick.identification.fit import Model, residuals_of, rollouts_of
 from frogkick.identification.paired import ActionSequence, Side, extend, segments_of_sequence
@@ -31,8 +31,6 @@ from frogkick.identification.steps import whitener
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import Interval
 from frogkick.robot import in_a_row
-
-FloatArray = NDArray[np.float64]
 
 PERIODS = 10
 """Periods of a planned sequence."""
@@ -196,7 +194,7 @@ def _ends(found: Found, term: Term, k: int, interval: Interval) -> ModelPair:
     return ModelPair((names[0], names[1]), (low, high))
 
 
-def pool_of(swims: Sequence[Segments]) -> FloatArray:
+def pool_of(swims: Sequence[Segments]) -> Float64:
     """(2, 2) low and high corner of the square that a sequence must stay in."""
     every = np.concatenate([swim.pose[:, :2] for swim in swims])
     low, high = every.min(axis=0), every.max(axis=0)
@@ -205,7 +203,7 @@ def pool_of(swims: Sequence[Segments]) -> FloatArray:
 
 
 def plan(
-    pair: ModelPair, white: FloatArray, start: FloatArray, pool: FloatArray, periods: int = PERIODS
+    pair: ModelPair, white: Float64, start: Float64, pool: Float64, periods: int = PERIODS
 ) -> Experiment:
     """The sequence of actions that discriminates two models best, by beam search.
 
@@ -236,11 +234,11 @@ def plan(
     )
 
 
-def _is_inside(shown: FloatArray, pool: FloatArray) -> bool:
+def _is_inside(shown: Float64, pool: Float64) -> bool:
     return bool(((shown[:, :2] >= pool[0]) & (shown[:, :2] <= pool[1])).all())
 
 
-def separation(pair: ModelPair, white: FloatArray, swim: Segments) -> float:
+def separation(pair: ModelPair, white: Float64, swim: Segments) -> float:
     """Separation of two models on a sequence of the first one; see ``Experiment.separation_sigma``."""
     if not len(swim.start_s):
         return 0.0

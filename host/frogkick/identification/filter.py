@@ -18,11 +18,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.compiled import kept
-
-FloatArray = NDArray[np.float64]
 
 HUBER_SIGMA = 5.0
 """Threshold of the Huber loss of innovations, in standard deviations."""
@@ -49,7 +47,7 @@ class Noise:
     idle: tuple[float, float] = (1e-3, 0.03)
     actuated: tuple[float, float] = (5e-3, 0.2)
 
-    def per_axis(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def per_axis(self) -> tuple[Float64, Float64, Float64]:
         """(3,) squares of each, for x, y and heading."""
         axes = [0, 0, 1]
         return (
@@ -84,11 +82,11 @@ class Filter:
     """
 
     noise: Noise
-    actuated_s: FloatArray
+    actuated_s: Float64
     time_s: float
     rate_std: tuple[float, float, float] = INITIAL_RATE_STD
-    error: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
-    covariance: FloatArray = field(init=False)
+    error: Float64 = field(default_factory=lambda: np.zeros((3, 2)))
+    covariance: Float64 = field(init=False)
 
     def __post_init__(self) -> None:
         self._fix, self._idle, self._actuated = self.noise.per_axis()
@@ -100,12 +98,12 @@ class Filter:
             self.error, self.covariance, self.time_s, time_s, self.actuated_s, self._idle, self._actuated
         )
 
-    def update(self, time_s: float, difference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def update(self, time_s: float, difference: Float64) -> tuple[Float64, Float64]:
         """Update by a fix: (3,) fix minus simulation. Return innovation and its variance, (3,) each."""
         innovation, variance = self.update_all(np.array([time_s]), difference[None, :])
         return innovation[0], variance[0]
 
-    def update_all(self, times_s: FloatArray, differences: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def update_all(self, times_s: Float64, differences: Float64) -> tuple[Float64, Float64]:
         """Update by fixes in order: (n,) times, (n, 3) differences; see ``update``."""
         innovations, variances = np.empty_like(differences), np.empty_like(differences)
         self.time_s = _update_all(
@@ -121,7 +119,7 @@ class Filter:
         )
         return innovations, variances
 
-    def reset(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+    def reset(self, time_s: float) -> tuple[Float64, Float64]:
         """Return the error at a time, (3,) offset and (3,) rate, and reset it to zero."""
         offset = self.error[:, 0] + (time_s - self.time_s) * self.error[:, 1]
         rate = self.error[:, 1].copy()
@@ -131,13 +129,13 @@ class Filter:
 
 @kept()
 def _predict_to(
-    error: FloatArray,
-    covariance: FloatArray,
+    error: Float64,
+    covariance: Float64,
     now_s: float,
     time_s: float,
-    actuated_s: FloatArray,
-    idle: FloatArray,
-    actuated: FloatArray,
+    actuated_s: Float64,
+    idle: Float64,
+    actuated: Float64,
 ) -> float:
     dt = time_s - now_s
     if dt <= 0.0:
@@ -157,15 +155,15 @@ def _predict_to(
 
 @kept()
 def _update_all(
-    error: FloatArray,
-    covariance: FloatArray,
+    error: Float64,
+    covariance: Float64,
     now_s: float,
-    times_s: FloatArray,
-    differences: FloatArray,
-    actuated_s: FloatArray,
-    noise: tuple[FloatArray, FloatArray, FloatArray],
-    innovations: FloatArray,
-    variances: FloatArray,
+    times_s: Float64,
+    differences: Float64,
+    actuated_s: Float64,
+    noise: tuple[Float64, Float64, Float64],
+    innovations: Float64,
+    variances: Float64,
 ) -> float:
     fix, idle, actuated = noise
     for row in range(len(times_s)):
@@ -195,15 +193,13 @@ class Series:
         rate_std: initial, of the rate.
     """
 
-    time_s: FloatArray
-    actuated_s: FloatArray
-    difference: FloatArray
+    time_s: Float64
+    actuated_s: Float64
+    difference: Float64
     rate_std: float
 
 
-def deviances(
-    series: Series, fix_std: FloatArray, idle_std: FloatArray, actuated_std: FloatArray
-) -> FloatArray:
+def deviances(series: Series, fix_std: Float64, idle_std: Float64, actuated_std: Float64) -> Float64:
     """(k,) deviance (minus twice the log likelihood, Huber loss) of a series, for k noises at once."""
     dts = np.diff(series.time_s, prepend=series.time_s[:1])
     actuation = np.diff(series.actuated_s, prepend=series.actuated_s[:1])
@@ -213,8 +209,8 @@ def deviances(
 
 @kept()
 def _deviances(
-    dts: FloatArray, actuation: FloatArray, differences: FloatArray, rate: float, noises: FloatArray
-) -> FloatArray:
+    dts: Float64, actuation: Float64, differences: Float64, rate: float, noises: Float64
+) -> Float64:
     totals = np.zeros(len(noises))
     for k in range(len(noises)):
         fix, idle, actuated = noises[k]

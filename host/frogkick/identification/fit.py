@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.effects.acting import LEG_S
 from frogkick.effects.registry import effects_of
 from frogkick.identification.batching import roll_out
@@ -22,8 +22,6 @@ from frogkick.identification.segments import Segments
 from frogkick.identification.steps import CONVERGED, deviance_of, linearised_optimum
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 STEP_SHARE = 0.05
 """Share of a parameter's range: the step of its finite difference, where it names none."""
@@ -59,7 +57,7 @@ class Model:
         effects = tuple(effect.likeliest() for effect in every)
         return Lane(swim, self.robot.at_period(swim.period_s), effects, self.noise, self.leg_s, self.step_s)
 
-    def with_values(self, values: FloatArray) -> Model:
+    def with_values(self, values: Float64) -> Model:
         """The same with other values of all terms, concatenated."""
         terms, first = [], 0
         for term in self.terms:
@@ -68,18 +66,18 @@ class Model:
         return replace(self, terms=tuple(terms))
 
     @property
-    def values(self) -> FloatArray:
+    def values(self) -> Float64:
         """Parameters of all terms, concatenated."""
         return np.array([value for term in self.terms for value in term.values], dtype=np.float64)
 
     @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
+    def bounds(self) -> tuple[Float64, Float64]:
         """Lower and upper bounds of the values."""
         parameters = [p for term in self.terms for p in term.parameters]
         return np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
 
     @property
-    def range(self) -> FloatArray:
+    def range(self) -> Float64:
         """High minus low of each."""
         low, high = self.bounds
         return np.asarray(high - low, dtype=np.float64)
@@ -98,7 +96,7 @@ def rollouts_of(models: Sequence[Model], swims: Sequence[Segments]) -> list[list
     return [rollouts[i : i + len(swims)] for i in range(0, len(rollouts), max(len(swims), 1))]
 
 
-def residuals_of(rollouts: Sequence[Rollout], rows: NDArray[np.bool_] | None = None) -> FloatArray:
+def residuals_of(rollouts: Sequence[Rollout], rows: Bool | None = None) -> Float64:
     """(n, 9) residuals of all periods; see Rollout.residuals.
 
     Args:
@@ -143,8 +141,8 @@ class Fitted:
 
     model: Model
     rollouts: list[Rollout]
-    residuals: FloatArray
-    jacobian: FloatArray
+    residuals: Float64
+    jacobian: Float64
     deviance: float
     fresh: bool = True
 
@@ -156,7 +154,7 @@ class Fitted:
         return replace(self, model=model, jacobian=self.jacobian[:, :, :width])
 
 
-def difference_steps(model: Model) -> FloatArray:
+def difference_steps(model: Model) -> Float64:
     """(p,) steps of finite differences, reversed where they would leave the bounds.
 
     A parameter may declare a long step. It is for the point where its effect vanishes; elsewhere it would
@@ -174,8 +172,8 @@ def difference_steps(model: Model) -> FloatArray:
 def derivatives(
     models: Sequence[Model],
     swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    known: FloatArray | None = None,
+    rows: Bool,
+    known: Float64 | None = None,
     fixed: bool = True,
 ) -> list[Fitted]:
     """Evaluate models with their Jacobians, all simulated in one batch.
@@ -231,10 +229,7 @@ SMALL_SHARE = 0.25
 
 
 def evaluate(
-    models: Sequence[Model],
-    jacobians: Sequence[FloatArray],
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
+    models: Sequence[Model], jacobians: Sequence[Float64], swims: Sequence[Segments], rows: Bool
 ) -> list[Fitted]:
     """Evaluate models by simulation; their Jacobians are those of a nearby point."""
     found = []
@@ -245,11 +240,7 @@ def evaluate(
 
 
 def refresh_jacobian(
-    fits: Sequence[Fitted],
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    skipped: int = 0,
-    fixed: bool = True,
+    fits: Sequence[Fitted], swims: Sequence[Segments], rows: Bool, skipped: int = 0, fixed: bool = True
 ) -> list[Fitted]:
     """Refresh Jacobians at the present values; columns that are up to date are not simulated again.
 
@@ -282,11 +273,7 @@ def refresh_jacobian(
 
 
 def fit(
-    model: Model,
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    steps_max: int = 6,
-    tolerance: float = CONVERGED,
+    model: Model, swims: Sequence[Segments], rows: Bool, steps_max: int = 6, tolerance: float = CONVERGED
 ) -> Fitted:
     """Fit all free parameters of a model's terms to runs, at its noise.
 
@@ -303,9 +290,9 @@ def fit(
 def fit_many(
     models: Sequence[Model],
     swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
+    rows: Bool,
     steps_max: int,
-    known: FloatArray | None = None,
+    known: Float64 | None = None,
     tolerance: float = CONVERGED,
 ) -> list[Fitted]:
     """Fit several models in one batch; see ``fit`` and ``derivatives``, here without fixed parameters."""
@@ -316,7 +303,7 @@ def fit_many(
 def fit_on(
     start_fits: Sequence[Fitted],
     swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
+    rows: Bool,
     steps_max: int,
     skipped: int = 0,
     tolerance: float = CONVERGED,
@@ -381,7 +368,7 @@ def _damped_step(fitted: Fitted, failed: int) -> tuple[Model, float]:
     return model.with_values(model.values + step), deviance
 
 
-def step_bounds(model: Model) -> tuple[FloatArray, FloatArray]:
+def step_bounds(model: Model) -> tuple[Float64, Float64]:
     """(p,) bounds of a step, down and up: zero for fixed parameters."""
     low, high = model.bounds
     free = np.array([k not in model.fixed for k in range(len(low))], dtype=np.float64)

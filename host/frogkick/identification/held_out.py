@@ -7,20 +7,16 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.identification.batching import all_of
 from frogkick.identification.fit import Fitted, fit_on, residuals_of, step_bounds
 from frogkick.identification.refine import STEPS_MAX
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import cross_fitted, deviance_of, held_out_density
 
-FloatArray = NDArray[np.float64]
 
-
-def held_out_gain(
-    current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int
-) -> tuple[float, float]:
+def held_out_gain(current: Fitted, fitted: Fitted, folds: Int64, known: int) -> tuple[float, float]:
     """Mean gain of a fitted candidate on a held-out period over the model without it, and its standard error.
 
     The gain is twice the difference of the log densities, cross-validated: the fold of a period takes no part
@@ -35,12 +31,7 @@ def held_out_gain(
 
 
 def bent_gain(
-    current: Fitted,
-    fitted: Fitted,
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    folds: NDArray[np.int64],
-    known: int,
+    current: Fitted, fitted: Fitted, swims: Sequence[Segments], rows: Bool, folds: Int64, known: int
 ) -> tuple[Fitted, tuple[float, float]]:
     """A candidate fitted further, and its ``held_out_gain`` with the fit without each fold simulated.
 
@@ -56,7 +47,7 @@ def bent_gain(
     low, high = step_bounds(current.model)
     plain = cross_fitted(current.residuals, current.jacobian, low, high, np.full(len(low), 1e-9), folds)
 
-    def residuals_without(label: int) -> FloatArray:
+    def residuals_without(label: int) -> Float64:
         kept, some = folds != label, rows.copy()
         some[numbers[~kept]] = False
         left, seen = fitted.residuals[kept], fitted.jacobian[kept]

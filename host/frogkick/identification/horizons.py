@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.der import WIDTH, Checkpoint
 from frogkick.identification.fit import Model
 from frogkick.identification.predict import Lane, LaneState, RolloutBatch, lanes_by_body, replay_batch
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 HORIZONS = (1, 2, 3, 5)
 """Periods ahead."""
@@ -68,7 +66,7 @@ def horizons_of(
     return found
 
 
-def _gap(swim: Segments, predicted: FloatArray, periods: int) -> FloatArray:
+def _gap(swim: Segments, predicted: Float64, periods: int) -> Float64:
     """(m, 3) prediction errors so many periods after each start; NaN if unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
     whole = len(gap) - periods + 1
@@ -78,7 +76,7 @@ def _gap(swim: Segments, predicted: FloatArray, periods: int) -> FloatArray:
     return gap
 
 
-def roll_out_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) -> list[FloatArray]:
+def roll_out_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) -> list[Float64]:
     """Predict runs several periods ahead from the starts of their periods (open loop).
 
     Args:
@@ -122,7 +120,7 @@ class _Start:
     period: int
     checkpoint: Checkpoint
     lane_state: LaneState
-    ends_s: FloatArray
+    ends_s: Float64
 
 
 class _StartRecorder(RolloutBatch):
@@ -163,7 +161,7 @@ class _OpenLoopBatch(RolloutBatch):
         self.leg_s = min(lane_state.acting.leg_s for lane_state in self.lane_states)
         self._starts = starts
 
-    def poses(self) -> Iterator[list[FloatArray]]:
+    def poses(self) -> Iterator[list[Float64]]:
         """Poses of the lanes as the camera would show them, period by period; NaN after an end or failure."""
         for step in range(max(len(each.ends_s) for each in self._starts)):
             ends_s = [float(each.ends_s[min(step, len(each.ends_s) - 1)]) for each in self._starts]

@@ -16,13 +16,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.effects import Law
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import Term
-
-FloatArray = NDArray[np.float64]
 
 FAR_SIGMA = 6.0
 """A fix is far off if its distance is more than this many robust standard deviations."""
@@ -94,7 +92,7 @@ def without_jumps(swims: Sequence[Segments]) -> list[Segments]:
     return kept
 
 
-def jumped(swim: Segments) -> tuple[NDArray[np.int64], FloatArray]:
+def jumped(swim: Segments) -> tuple[Int64, Float64]:
     """(k,) indices of the fixes of a run that jumped, and (k,) their distances, m."""
     times, places = swim.time_s, swim.pose[:, :2]
     kept, out = np.arange(len(times)), list[int]()
@@ -128,7 +126,7 @@ def jumped(swim: Segments) -> tuple[NDArray[np.int64], FloatArray]:
     return np.array(found, dtype=np.int64), np.array(sizes)
 
 
-def _off(times: FloatArray, places: FloatArray) -> FloatArray:
+def _off(times: Float64, places: Float64) -> Float64:
     """(n, 2) distances from the curve through the neighbours, scaled to the noise of a single fix."""
     found = np.zeros(places.shape)
     middle = np.arange(2, len(times) - 2)
@@ -150,7 +148,7 @@ def _off(times: FloatArray, places: FloatArray) -> FloatArray:
     return found
 
 
-def _weights(since_s: FloatArray) -> FloatArray:
+def _weights(since_s: Float64) -> Float64:
     """(..., k) weights of values at k times that give the interpolating polynomial at time 0 (Lagrange)."""
     apart = since_s[..., :, None] - since_s[..., None, :]
     same = np.eye(since_s.shape[-1], dtype=bool)

@@ -113,10 +113,7 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
 
     beyond = "x_m * cos(way) + y_m * sin(way) - offset"
     middle, reach = 0.5 * (low + high), 0.5 * float(np.hypot(*(high - low)))
-    line: Numbers = {
-        "way": ("rad", -7.0, 7.0, 0.02),
-        "offset": ("m", -3.0, 3.0, PLACE_STEP_M),
-    }
+    line: Numbers = {"way": ("rad", -7.0, 7.0, 0.02), "offset": ("m", -3.0, 3.0, PLACE_STEP_M)}
     lines = [
         {"way": float(way), "offset": float(middle @ [np.cos(way), np.sin(way)] + far * reach)}
         for way in np.linspace(-np.pi, np.pi, 12, endpoint=False)

@@ -15,8 +15,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.progress import TellStage, silent
 from frogkick.identification.fit import Fitted, step_bounds
 from frogkick.identification.law_kinds import MOMENTS, Kind, kinds_of
@@ -26,8 +26,6 @@ from frogkick.identification.screening import Column
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import DOF, linearised_optimum, whitener
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 REFINED = 8
 """Kinds whose shapes are refined beyond the grid, best first."""
@@ -51,11 +49,7 @@ class Laws:
     """The grammar of laws for some runs, with the responses of the runs to each law."""
 
     def __init__(
-        self,
-        responses: Responses,
-        swims: Sequence[Segments],
-        robot: Robot,
-        progress: TellStage = silent,
+        self, responses: Responses, swims: Sequence[Segments], robot: Robot, progress: TellStage = silent
     ) -> None:
         """Evaluate every kind of law at every shape of its grid.
 
@@ -66,8 +60,8 @@ class Laws:
             progress: called with a stage, the steps done and all steps.
         """
         self._responses, self._limbs = responses, [limb.name for limb in robot.limbs]
-        self._grids: list[tuple[Kind, float | None, list[int], FloatArray]] = []
-        self._bins: list[tuple[Kind, FloatArray, FloatArray]] = []
+        self._grids: list[tuple[Kind, float | None, list[int], Float64]] = []
+        self._bins: list[tuple[Kind, Float64, Float64]] = []
         end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
         bin_s = max(BIN_S, end_s / BINS_MOST)
         strokes = np.unique(np.round([at for swim in swims for at, _ in swim.strokes], 1))
@@ -89,10 +83,10 @@ class Laws:
                     self._grids.append((kind, size, kept, np.stack([every[k] for k in kept])))
 
     @property
-    def every(self) -> list[FloatArray]:
+    def every(self) -> list[Float64]:
         """(n, 9, p) derivatives by the screened laws, to estimate the largest gain by chance."""
 
-        def some(count: int) -> NDArray[np.int64]:
+        def some(count: int) -> Int64:
             return np.unique(np.linspace(0, count - 1, BY_CHANCE).round().astype(np.int64))
 
         found = [columns[k] for *_, columns in self._grids for k in some(len(columns))]
@@ -100,7 +94,7 @@ class Laws:
             found += [np.tensordot(on[k], bins, axes=1) for k in some(len(on))]
         return found
 
-    def columns(self, kind: Kind, shape: Mapping[str, float], size: float | None = None) -> FloatArray:
+    def columns(self, kind: Kind, shape: Mapping[str, float], size: float | None = None) -> Float64:
         """(n, 9, p) derivatives of the residuals by each strength of a law at a shape, from the responses.
 
         With a size, the change by a strength of that size divided by the size.
@@ -178,7 +172,7 @@ class Laws:
         )
         simplex = np.vstack([start, *(start + 0.5 * np.diag(np.minimum(spread, 0.2 * (high - low))))])
 
-        def at(values: FloatArray) -> dict[str, float]:
+        def at(values: Float64) -> dict[str, float]:
             return {**shape, **dict(zip(names, np.clip(values, low, high).tolist(), strict=True))}
 
         found = optimize.minimize(
@@ -192,7 +186,7 @@ class Laws:
         return at(found.x)
 
 
-def _on(grid: Sequence[Mapping[str, float]], at_s: FloatArray) -> FloatArray:
+def _on(grid: Sequence[Mapping[str, float]], at_s: Float64) -> Float64:
     """(k, b) 1 if a law at intervals acts at a time, else 0."""
     cycle, middle, share = (
         np.array([[each[name]] for each in grid]) for name in ("cycle", "middle", "share")
@@ -224,11 +218,11 @@ class _Beside:
             left = (rows * weight[:, None]).ravel()
             self._weighed.append((weight, basis, left - basis @ (basis.T @ left)))
 
-    def _damping(self, reach: FloatArray) -> FloatArray:
+    def _damping(self, reach: Float64) -> Float64:
         known = np.full(self._current.jacobian.shape[2], 1e-12)
         return np.append(known, 1e-6 * self._current.residuals.size / np.maximum(reach, 1e-12) ** 2)
 
-    def gain(self, kind: Kind, columns: FloatArray) -> float:
+    def gain(self, kind: Kind, columns: Float64) -> float:
         """The fall of the deviance by the best strengths of a law, with the model's parameters refitted."""
         low, high = (np.array([given[k] for given in kind.strengths.values()]) for k in (1, 2))
         down, up = self._bounds
@@ -237,7 +231,7 @@ class _Beside:
         found = linearised_optimum(self._current.residuals, both, lows, highs, self._damping(high - low))
         return self._plain - found[1]
 
-    def quick(self, columns: FloatArray) -> FloatArray:
+    def quick(self, columns: Float64) -> Float64:
         """(k,) falls of the sum of squares for (k, n, 9, p) derivatives, to rank shapes of one kind."""
         found = np.zeros(len(columns))
         white = np.einsum("knip,ij->knjp", columns, self._white)
@@ -252,7 +246,7 @@ class _Beside:
             found = np.maximum(found, gains / max(float(left @ left), 1e-30))
         return found
 
-    def quick_sums(self, on: FloatArray, bins: FloatArray) -> FloatArray:
+    def quick_sums(self, on: Float64, bins: Float64) -> Float64:
         """(k,) the same for sums of (b, n, 9, p) derivatives over the bins with a 1 in (k, b)."""
         found = np.zeros(len(on))
         white = np.einsum("bnip,ij->bpnj", bins, self._white)

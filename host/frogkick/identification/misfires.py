@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.effects import Law
 from frogkick.identification.bootstrap import drawn_periods
 from frogkick.identification.calibrated import end_errors
@@ -35,8 +35,6 @@ from frogkick.identification.responses import Values, Weaker, fired_strokes, rol
 from frogkick.identification.segments import Segments, replicate_count
 from frogkick.identification.steps import DOF, deviance_of, log_density, scale_of
 from frogkick.identification.terms import Term
-
-FloatArray = NDArray[np.float64]
 
 CHANCES = (0.01, 0.7)
 """Smallest and largest probability of a misfire: a limb that mostly does nothing is worn."""
@@ -77,10 +75,10 @@ class Mixture:
         score: (n,) log density of each residual.
     """
 
-    chance: FloatArray
-    scale: FloatArray
-    failed: FloatArray
-    score: FloatArray
+    chance: Float64
+    scale: Float64
+    failed: Float64
+    score: Float64
 
     @property
     def deviance(self) -> float:
@@ -108,7 +106,7 @@ class Misfires:
     limbs: tuple[str, ...]
     indices: tuple[int, ...]
     chance: list[tuple[float, float, float]]
-    scale: FloatArray
+    scale: Float64
     failed: list[list[tuple[str, float, float]]]
     stability: list[float]
     confounded_with: list[list[str]]
@@ -119,7 +117,7 @@ class Misfires:
         """A law for each limb."""
         return tuple(_term(limb, each[0]) for limb, each in zip(self.limbs, self.chance, strict=True))
 
-    def scores(self, swims: Sequence[Segments], rows: Sequence[NDArray[np.bool_]]) -> list[FloatArray]:
+    def scores(self, swims: Sequence[Segments], rows: Sequence[Bool]) -> list[Float64]:
         """Log density of the residuals at the ends of each run's periods, by the mixture.
 
         Args:
@@ -169,7 +167,7 @@ class Misfires:
 
 
 def misfires_of(
-    base: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_], changes: FloatArray | None = None
+    base: Fitted, swims: Sequence[Segments], rows: Bool, changes: Float64 | None = None
 ) -> Misfires | None:
     """Select limbs that misfire by forward selection; None if no limb explains more than chance.
 
@@ -251,7 +249,7 @@ def misfires_of(
 
 
 def fitted_mixture(
-    residuals: FloatArray, changes: FloatArray, fired: NDArray[np.bool_], chance: FloatArray | None = None
+    residuals: Float64, changes: Float64, fired: Bool, chance: Float64 | None = None
 ) -> Mixture:
     """The maximum-likelihood mixture, by expectation maximisation from several starts.
 
@@ -268,9 +266,7 @@ def fitted_mixture(
     return min(every, key=lambda mixture: mixture.deviance)
 
 
-def _maximised(
-    residuals: FloatArray, changes: FloatArray, fired: NDArray[np.bool_], chance: FloatArray, free: bool
-) -> Mixture:
+def _maximised(residuals: Float64, changes: Float64, fired: Bool, chance: Float64, free: bool) -> Mixture:
     count, width = residuals.shape
     which = np.array(list(itertools.product((0.0, 1.0), repeat=changes.shape[2])))
     every = residuals[None] + np.einsum("hk,nik->hni", which, changes)
@@ -296,13 +292,7 @@ def _maximised(
     return Mixture(chance, scale, failed, score)
 
 
-def _joint(
-    residuals: FloatArray,
-    changes: FloatArray,
-    fired: NDArray[np.bool_],
-    chance: FloatArray,
-    scale: FloatArray,
-) -> FloatArray:
+def _joint(residuals: Float64, changes: Float64, fired: Bool, chance: Float64, scale: Float64) -> Float64:
     """(h, n) log of prior times density of each hypothesis, one for each combination of limbs that fail."""
     found = []
     for row in itertools.product((False, True), repeat=changes.shape[2]):
@@ -313,18 +303,13 @@ def _joint(
     return np.array(found)
 
 
-def _log_sum(each: FloatArray) -> FloatArray:
+def _log_sum(each: Float64) -> Float64:
     most = each.max(axis=0)
     return np.asarray(most + np.log(np.exp(each - most).sum(axis=0)))
 
 
 def _interval(
-    best: Mixture,
-    base: Fitted,
-    changes: FloatArray,
-    fired: NDArray[np.bool_],
-    taken: Sequence[int],
-    k: int,
+    best: Mixture, base: Fitted, changes: Float64, fired: Bool, taken: Sequence[int], k: int
 ) -> tuple[float, float]:
     """Interval of a probability by its profile likelihood, at the fitted scale."""
     tried = np.linspace(*CHANCES, 160)
@@ -339,7 +324,7 @@ def _interval(
     return min([own, *inside.tolist()]), max([own, *inside.tolist()])
 
 
-def _split_gain(values: FloatArray, fails: FloatArray) -> float:
+def _split_gain(values: Float64, fails: Float64) -> float:
     """Fall of the deviance if values below and above the best threshold have different probabilities."""
     order = np.argsort(values, kind="stable")
     bounds = np.flatnonzero(np.diff(values[order]) > 1e-9) + 1
@@ -347,7 +332,7 @@ def _split_gain(values: FloatArray, fails: FloatArray) -> float:
         return 0.0
     total, count = np.cumsum(fails[order]), len(fails)
 
-    def deviance(failed: FloatArray, of: FloatArray) -> FloatArray:
+    def deviance(failed: Float64, of: Float64) -> Float64:
         share = np.clip(failed / of, 1e-9, 1.0 - 1e-9)
         return np.asarray(-2.0 * (failed * np.log(share) + (of - failed) * np.log1p(-share)))
 
@@ -356,7 +341,7 @@ def _split_gain(values: FloatArray, fails: FloatArray) -> float:
     return float((deviance(total[-1:], np.array([float(count)])) - parts).max())
 
 
-def _stability(scores: Sequence[FloatArray], runs: NDArray[np.int64], replicates: int) -> list[float]:
+def _stability(scores: Sequence[Float64], runs: Int64, replicates: int) -> list[float]:
     rng = np.random.default_rng(0)
     accepted = np.zeros(len(scores) - 1)
     for _ in range(DRAWS):
@@ -369,7 +354,7 @@ def _stability(scores: Sequence[FloatArray], runs: NDArray[np.int64], replicates
 
 def _ends(
     model: Model, limbs: Sequence[int], swims: Sequence[Segments], rollouts: Sequence[Rollout]
-) -> tuple[list[FloatArray], list[FloatArray], list[NDArray[np.bool_]]]:
+) -> tuple[list[Float64], list[Float64], list[Bool]]:
     """Residuals (m, 3) of each run at the ends of periods, their change (m, 3, k) if a limb does nothing, and
     (m, k) whether the limb was commanded to fire."""
     moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.poses import world_from_body
 from frogkick.identification.filter import Filter, Noise, initial_rate_std
 from frogkick.identification.fit import Fitted
@@ -26,8 +26,6 @@ from frogkick.identification.predict import PHASES
 from frogkick.identification.responses import THIRDS, Responses, fired_strokes
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import log_density, scale_of
-
-FloatArray = NDArray[np.float64]
 
 SIZES_N, ARMS_M, MEMORIES = (0.0, *np.geomspace(3e-5, 1e-2, 8)), (0.005, 0.02, 0.06), (0.0, 0.6, 0.9, 0.98)
 """Values that are tried: size of the wrench, its torque over its force, and its correlation from third to
@@ -55,11 +53,11 @@ class Missing:
         covariance: (k, 3, 3) covariance of the wrench.
     """
 
-    run: NDArray[np.int64]
-    time_s: FloatArray
-    heading: FloatArray
-    wrench: FloatArray
-    covariance: FloatArray
+    run: Int64
+    time_s: Float64
+    heading: Float64
+    wrench: Float64
+    covariance: Float64
 
     def as_json(self, names: Sequence[str]) -> dict[str, Any]:
         """Wrench and covariance in the body frame, and the force in the pool's frame as well."""
@@ -76,13 +74,11 @@ class Missing:
         }
 
 
-def _short(values: FloatArray) -> list[float]:
+def _short(values: Float64) -> list[float]:
     return [float(f"{value:.4g}") for value in values]
 
 
-def missing_wrench(
-    fitted: Fitted, responses: Responses, swims: Sequence[Segments], rows: NDArray[np.bool_]
-) -> Missing:
+def missing_wrench(fitted: Fitted, responses: Responses, swims: Sequence[Segments], rows: Bool) -> Missing:
     """Estimate the wrench that a model misses in each third of each period.
 
     Args:
@@ -108,7 +104,7 @@ def missing_wrench(
             spread[here, here] = noise[row]
         parts.append((design, spread, fitted.residuals[mine].ravel(), np.abs(thirds[:, None] - thirds)))
 
-    def prior(gap: FloatArray, size: float, arm: float, memory: float) -> FloatArray:
+    def prior(gap: Float64, size: float, arm: float, memory: float) -> Float64:
         correlation = memory**gap if memory else (gap == 0).astype(np.float64)
         return np.kron(correlation, np.diag([size**2, size**2, (arm * size) ** 2]))
 
@@ -132,7 +128,7 @@ def missing_wrench(
     return Missing(np.repeat(runs, THIRDS), at_s.ravel(), heading.ravel(), *every)
 
 
-def _noise_of(noise: Noise, swim: Segments) -> FloatArray:
+def _noise_of(noise: Noise, swim: Segments) -> Float64:
     """(m, 9, 9) covariance of a run's residuals if no wrench is missing: from the fixes and each start."""
     state = Filter(noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
     fix = noise.per_axis()[0]
@@ -159,11 +155,7 @@ def _noise_of(noise: Noise, swim: Segments) -> FloatArray:
 
 
 def stroke_ratios(
-    fitted: Fitted,
-    responses: Responses,
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    limbs: Sequence[str],
+    fitted: Fitted, responses: Responses, swims: Sequence[Segments], rows: Bool, limbs: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Log likelihood ratio of fired to not fired for each stroke, with all others as commanded."""
     runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]

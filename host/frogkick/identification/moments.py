@@ -6,16 +6,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.effects.limbs import ALL
 from frogkick.identification.backward import with_term_at
 from frogkick.identification.fit import Fitted, Model, residuals_of, rollouts_of
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import deviance_of
 from frogkick.identification.terms import Term
-
-FloatArray = NDArray[np.float64]
 
 MOMENT = "at"
 """Name of the parameter that is a law's moment."""
@@ -30,7 +28,7 @@ NEIGHBOURS = 6
 """Gaps between strokes that are tried on each side of the moment's own gap."""
 
 
-def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Fitted:
+def centred(fitted: Fitted, swims: Sequence[Segments], rows: Bool) -> Fitted:
     """Move each such moment (s) to the middle of the moments that fit equally well.
 
     These moments reach from one stroke to the next, and farther if the period of a stroke is not used.
@@ -56,9 +54,7 @@ def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) 
     return Fitted(model, rollouts, residuals, fitted.jacobian, deviance, fresh=False)
 
 
-def moment_intervals(
-    fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]
-) -> dict[int, tuple[float, float]]:
+def moment_intervals(fitted: Fitted, swims: Sequence[Segments], rows: Bool) -> dict[int, tuple[float, float]]:
     """Likelihood interval (s) of each such moment; the key is the index of the law among the model's terms.
 
     It extends from stroke to stroke while the deviance, simulated with all other parameters unchanged, rises
@@ -72,12 +68,7 @@ def moment_intervals(
 
 
 def _alike(
-    fitted: Fitted,
-    place: int,
-    borders: FloatArray,
-    swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
-    worse: float,
+    fitted: Fitted, place: int, borders: Float64, swims: Sequence[Segments], rows: Bool, worse: float
 ) -> tuple[float, float]:
     """Ends (s) of the moments around a law's own at which the deviance is higher by less than ``worse``."""
     k = _gap(borders, fitted.model.terms[place])
@@ -96,7 +87,7 @@ def _alike(
     return float(borders[first]), float(borders[last + 1])
 
 
-def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> FloatArray | None:
+def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> Float64 | None:
     """(k,) ascending times (s): the bounds of a law's moment, and the strokes between that the law acts on.
 
     None for a law without a moment, or one that does not act on strokes.
@@ -116,7 +107,7 @@ def _number(term: Term) -> int | None:
     return names.index(MOMENT) if term.name == "law" and MOMENT in names else None
 
 
-def _gap(borders: FloatArray, term: Term) -> int:
+def _gap(borders: Float64, term: Term) -> int:
     """Index of the gap between borders that contains a law's moment."""
     at = term.values[_number(term) or 0]
     return int(np.clip(np.searchsorted(borders, at) - 1, 0, len(borders) - 2))

@@ -158,11 +158,7 @@ class Outcome:
                     "name": term.name,
                     **term.options,
                     "parameters": {
-                        each.name: {
-                            "value": each.value,
-                            "interval": [each.low, each.high],
-                            "unit": each.unit,
-                        }
+                        each.name: {"value": each.value, "interval": [each.low, each.high], "unit": each.unit}
                         for each in row
                     },
                     "not_told_from": self.found.confounded_with[index],

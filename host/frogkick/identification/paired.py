@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import rotate
 from frogkick.der import WIDTH, Checkpoint
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
@@ -22,8 +22,6 @@ from frogkick.identification.predict import CLIP_SIGMA, PHASES, replay_batch
 from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 CAMERA_S, LATE_S = 1.0 / 15.0, 0.08
 """Time between fixes, and from a picture to its fix."""
@@ -44,8 +42,8 @@ class RobotState:
 
     checkpoint: Checkpoint
     acting: ActingLanes
-    times_s: FloatArray
-    poses: FloatArray
+    times_s: Float64
+    poses: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ class ActionSequence:
     actions: tuple[int, ...]
     distance2: float
     robots: tuple[RobotState, ...]
-    shown: tuple[FloatArray, ...]
+    shown: tuple[Float64, ...]
 
 
 class Side:
@@ -76,7 +74,7 @@ class Side:
         self.camera_effects = [effect for effect in effects if type(effect).fix is not Effect.fix]
         self._leg_s = model.leg_s
 
-    def at_rest(self, shown: FloatArray) -> RobotState:
+    def at_rest(self, shown: Float64) -> RobotState:
         """A robot at rest whose camera shows a pose."""
         pose = np.array(shown, dtype=np.float64)
         for _ in range(4):
@@ -85,12 +83,12 @@ class Side:
         batch = replay_batch(self.robot, pose[None, :], COARSE_STEP_S)
         return RobotState(batch.save(0), acting, np.array([-_BACK_S, 0.0]), np.array([pose, pose]))
 
-    def advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, FloatArray]]:
+    def advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, Float64]]:
         """Robots after one period with an action each, and (n, 3) what the camera shows of it."""
         for first in range(0, len(given), WIDTH):
             yield from self._advanced(given[first : first + WIDTH])
 
-    def _advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, FloatArray]]:
+    def _advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, Float64]]:
         start_s, period_s = given[0][0].checkpoint.time_s, self.robot.period_s
         batch = replay_batch(self.robot, np.zeros((len(given), 3)), COARSE_STEP_S)
         actings = []
@@ -104,7 +102,7 @@ class Side:
                 batch.fire(lane, limb, later_s, gain=stroke.gain, duration_scale=slower)
         leg_s = actings[0].leg_s
         legs = 1 if math.isinf(leg_s) else max(1, round(period_s / leg_s))
-        parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in given]
+        parts: list[list[tuple[Float64, Float64]]] = [[] for _ in given]
         for leg in range(1, legs + 1):
             if not math.isinf(leg_s):
                 now_s, motion = start_s + period_s * (leg - 1) / legs, batch.motion_world()
@@ -121,7 +119,7 @@ class Side:
             advanced = RobotState(batch.save(lane), actings[lane], times_s, poses)
             yield advanced, self._camera_fixes(advanced, _instants(start_s, period_s))
 
-    def put(self, robot: RobotState, offset: FloatArray, rate: FloatArray) -> RobotState:
+    def put(self, robot: RobotState, offset: Float64, rate: Float64) -> RobotState:
         """A robot at another pose and velocity, and the last of its trajectory moved likewise."""
         batch = replay_batch(self.robot, np.zeros((1, 3)), COARSE_STEP_S)
         batch.restore(0, robot.checkpoint)
@@ -131,7 +129,7 @@ class Side:
         poses = robot.poses + offset + (robot.times_s - now_s)[:, None] * rate
         return RobotState(batch.save(0), robot.acting, robot.times_s[kept], poses[kept])
 
-    def _camera_fixes(self, robot: RobotState, corrected_s: FloatArray) -> FloatArray:
+    def _camera_fixes(self, robot: RobotState, corrected_s: Float64) -> Float64:
         """(n, 3) poses that fixes with these stated times show."""
         times_s, poses = robot.times_s, robot.poses
         if self.camera_effects:
@@ -143,7 +141,7 @@ class Side:
             times_s, poses = np.array(captured)[:, 0], np.array(captured)[:, 1:]
         return _interpolated(times_s, poses, corrected_s)
 
-    def _camera_fix(self, time_s: float, pose: FloatArray) -> FloatArray:
+    def _camera_fix(self, time_s: float, pose: Float64) -> Float64:
         """(4,) the stated time of a fix of a pose, and the pose that it shows."""
         x, y, heading = (float(value) for value in pose)
         fix = Fix(time_s, LATE_S, x, y, heading)
@@ -160,20 +158,20 @@ def strokes_of(robot: Robot, action: int, start_s: float) -> list[tuple[float, i
     return [(at_s, limb) for at_s, mask in pairs for limb in range(len(robot.limbs)) if mask >> limb & 1]
 
 
-def _instants(start_s: float, period_s: float) -> FloatArray:
+def _instants(start_s: float, period_s: float) -> Float64:
     """Capture times in a period."""
     count = max(len(PHASES), round(period_s / CAMERA_S))
     return start_s + period_s * (np.arange(count) + 0.5) / count
 
 
-def _interpolated(times_s: FloatArray, poses: FloatArray, at_s: FloatArray) -> FloatArray:
+def _interpolated(times_s: Float64, poses: Float64, at_s: Float64) -> Float64:
     return np.column_stack([np.interp(at_s, times_s, poses[:, axis]) for axis in range(3)])
 
 
 def extend(
     sequences: Sequence[ActionSequence],
     sides: Sequence[Side],
-    white: FloatArray,
+    white: Float64,
     robot: Robot,
     actions: Sequence[int] | None = None,
 ) -> Iterator[ActionSequence]:
@@ -202,7 +200,7 @@ def extend(
         yield ActionSequence((*sequence.actions, action), distance2, robots, (*sequence.shown, shown))
 
 
-def _residuals(gap: FloatArray, share: FloatArray, heading_rad: float) -> FloatArray:
+def _residuals(gap: Float64, share: Float64, heading_rad: float) -> Float64:
     """(9,) residuals of a period; see Rollout.residuals."""
     found: list[float] = []
     for low, high in PHASES:
@@ -211,7 +209,7 @@ def _residuals(gap: FloatArray, share: FloatArray, heading_rad: float) -> FloatA
     return np.array(found)
 
 
-def segments_of_sequence(robot: Robot, sequence: ActionSequence, start: FloatArray) -> Segments:
+def segments_of_sequence(robot: Robot, sequence: ActionSequence, start: Float64) -> Segments:
     """The first model's trajectory along a sequence, as a run of fixes without noise."""
     start_s = np.asarray(robot.period_s * np.arange(len(sequence.actions)), dtype=np.float64)
     before_s = -CAMERA_S * np.arange(15, 0, -1)

@@ -15,16 +15,14 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import rotate
 from frogkick.der import WIDTH, Batch, Checkpoint, Rods, prepare
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 STEP_S = 1.2e-3
 """Finest time step here: coarser than the pool's, which changes a period's end by some 0.02 mm."""
@@ -61,14 +59,14 @@ class Rollout:
         failed: the simulation did not converge.
     """
 
-    time_s: FloatArray
-    innovation: FloatArray
-    variance: FloatArray
-    difference: FloatArray
-    predicted: FloatArray
-    predicted_std: FloatArray
-    start: FloatArray
-    residuals: FloatArray
+    time_s: Float64
+    innovation: Float64
+    variance: Float64
+    difference: Float64
+    predicted: Float64
+    predicted_std: Float64
+    start: Float64
+    residuals: Float64
     failed: bool
 
     def series(self, swim: Segments) -> tuple[Series, ...]:
@@ -117,14 +115,14 @@ class LaneState:
     lane: Lane
     acting: ActingLanes
     filter: Filter
-    segment_times_s: FloatArray
+    segment_times_s: Float64
     corrected_s: list[float] = field(default_factory=list)
     next_fix: int = 0
     next_stroke: int = 0
-    times: FloatArray = field(default_factory=lambda: np.empty(0))
-    poses: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    moved: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))  # all corrections, as of time 0
-    rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+    times: Float64 = field(default_factory=lambda: np.empty(0))
+    poses: Float64 = field(default_factory=lambda: np.empty((0, 3)))
+    moved: Float64 = field(default_factory=lambda: np.zeros((3, 2)))  # all corrections, as of time 0
+    rows: list[tuple[Float64, Float64, Float64, Float64]] = field(default_factory=list)
     next_segment: int = 0
     failed: bool = False
 
@@ -164,7 +162,7 @@ class RolloutBatch:
         return [(slot, self.lane_states[index]) for slot, index in enumerate(self.slots) if index >= 0]
 
     @staticmethod
-    def _first_pose(lane_state: LaneState) -> FloatArray:
+    def _first_pose(lane_state: LaneState) -> Float64:
         """The true pose that the camera shows as the first fix."""
         wanted = lane_state.lane.swim.pose[lane_state.next_fix]
         pose = wanted.copy()
@@ -219,7 +217,7 @@ class RolloutBatch:
             self._prepared = {each: batch.save(lane) for lane, each in enumerate(some)}
         return self._prepared.pop(index)
 
-    def advance(self, until: FloatArray) -> None:
+    def advance(self, until: Float64) -> None:
         """Simulate all lanes to the ends of their segments."""
         occupied = self.occupied()
         for slot, lane_state in occupied:
@@ -233,7 +231,7 @@ class RolloutBatch:
         start = self.batch.time_s.copy()
         # Each lane has its own count: the result shall not depend on the other lanes.
         legs = np.maximum(1.0, np.rint((until - start) / self.leg_s))
-        parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in self.slots]
+        parts: list[list[tuple[Float64, Float64]]] = [[] for _ in self.slots]
         for leg in range(1, int(legs.max()) + 1):
             going = (leg <= legs) & (start < until)
             _set_waters(self.batch, [(slot, lane_state) for slot, lane_state in occupied if going[slot]])
@@ -255,9 +253,7 @@ class RolloutBatch:
         start_s = time_s + stroke.delay_s
         self.batch.fire(slot, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
-    def _correct(
-        self, lane_state: LaneState, outcome: tuple[FloatArray, ...]
-    ) -> tuple[FloatArray, FloatArray]:
+    def _correct(self, lane_state: LaneState, outcome: tuple[Float64, ...]) -> tuple[Float64, Float64]:
         """At a segment's end: record the prediction that ends here and update by the fixes known by now.
 
         Returns:
@@ -296,7 +292,7 @@ class RolloutBatch:
         lane_state.corrected_s.append(at_s)
         return offset, rate
 
-    def _begin(self, slot: int, lane_state: LaneState, motion: FloatArray, start: FloatArray) -> None:
+    def _begin(self, slot: int, lane_state: LaneState, motion: Float64, start: Float64) -> None:
         """Begin the next segment, with the corrected motion."""
         at_s = float(lane_state.segment_times_s[lane_state.next_segment])
         lane_state.next_segment += 1
@@ -307,14 +303,14 @@ class RolloutBatch:
     def began(self, slot: int, period: int) -> None:
         """Hook for subclasses: a period of a lane's run begins."""
 
-    def _camera_fixes(self, lane_state: LaneState, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _camera_fixes(self, lane_state: LaneState, times_s: Float64) -> tuple[Float64, Float64]:
         """(n,) true capture times of fixes with these stated times, and (n, 3) the poses that they show."""
         if not lane_state.camera_effects:
             return times_s, _interpolated(lane_state.times, lane_state.poses, times_s)
         every = [self.camera_fix_at(lane_state, float(time_s)) for time_s in times_s]
         return np.array([true_s for true_s, _ in every]), np.array([pose for _, pose in every])
 
-    def camera_fix_at(self, lane_state: LaneState, time_s: float) -> tuple[float, FloatArray]:
+    def camera_fix_at(self, lane_state: LaneState, time_s: float) -> tuple[float, Float64]:
         """True capture time of a fix with the stated time ``time_s``, and the pose that it shows."""
         pose = _interpolated(lane_state.times, lane_state.poses, np.array([time_s]))[0]
         true_s, shown = _camera_fix(lane_state.camera_effects, time_s, pose)
@@ -326,10 +322,10 @@ class RolloutBatch:
     def _track(
         self,
         lane_state: LaneState,
-        predicted: FloatArray,
-        predicted_std: FloatArray,
-        start: FloatArray,
-        residuals: FloatArray,
+        predicted: Float64,
+        predicted_std: Float64,
+        start: Float64,
+        residuals: Float64,
     ) -> Rollout:
         empty = (np.empty(0), *[np.empty((0, 3))] * 3)
         columns = [np.concatenate(parts) for parts in zip(empty, *lane_state.rows, strict=True)]
@@ -349,8 +345,8 @@ class RolloutBatch:
 
 
 def _phase_residuals(
-    swim: Segments, period: int, times_s: FloatArray, gaps: FloatArray, heading_rad: float
-) -> FloatArray:
+    swim: Segments, period: int, times_s: Float64, gaps: Float64, heading_rad: float
+) -> Float64:
     """(9,) residuals of a period; see Rollout.residuals."""
     start_s, length_s = float(swim.start_s[period]), float(swim.end_s[period] - swim.start_s[period])
     share = (times_s - start_s) / length_s
@@ -364,7 +360,7 @@ def _phase_residuals(
     return np.array(found)
 
 
-def _interpolated(times: FloatArray, poses: FloatArray, at_s: FloatArray) -> FloatArray:
+def _interpolated(times: Float64, poses: Float64, at_s: Float64) -> Float64:
     """(n, 3) poses of a trajectory at times, constant beyond its ends."""
     if not len(times):
         return np.full((len(at_s), 3), np.nan)
@@ -380,7 +376,7 @@ def _set_waters(batch: Batch, going: Sequence[tuple[int, LaneState]]) -> None:
         batch.set_water(lane, lane_state.acting.water(batch, now_s, row[:3], row[3:6]))
 
 
-def _camera_fix(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[float, FloatArray]:
+def _camera_fix(effects: Sequence[Effect], time_s: float, pose: Float64) -> tuple[float, Float64]:
     """True capture time of a fix with the stated time ``time_s``, and what the camera shows of ``pose``."""
     if not effects:
         return time_s, pose
@@ -392,7 +388,7 @@ def _camera_fix(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> t
     return 2.0 * time_s - seen.capture_s, np.array([seen.x_m, seen.y_m, heading + turned])
 
 
-def replay_batch(robot: Robot, pose_world: FloatArray, step_s: float) -> Batch:
+def replay_batch(robot: Robot, pose_world: Float64, step_s: float) -> Batch:
     """Robots at rest at (lanes, 3) poses, to replay runs: with bounded steps."""
     still = np.zeros((len(pose_world), 3))
     return Batch([_rods(robot)] * len(pose_world), pose_world, still, 0.0, step_s, WIDTH, LONGEST_S)

@@ -12,13 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.effects import Body, Effect, Fix, History, Stroke
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 _PROBES = 60
 _SUM_ERROR = 1e-6
@@ -33,7 +31,7 @@ class Probes:
     strokes: tuple[tuple[int, float, tuple[tuple[float, int], ...]], ...]
     bodies: tuple[Body, ...]
 
-    def responses(self, effect: Effect) -> FloatArray:
+    def responses(self, effect: Effect) -> Float64:
         """(k,) all that an effect does, concatenated."""
         names = [limb.name for limb in self.robot.limbs]
         responses: list[float] = []
@@ -76,11 +74,11 @@ def probes_of(robot: Robot) -> Probes:
     return Probes(robot, tuple(strokes), tuple(bodies))
 
 
-def changes(probes: Probes, term: Term, step: FloatArray) -> list[FloatArray | None]:
+def changes(probes: Probes, term: Term, step: Float64) -> list[Float64 | None]:
     """Derivative of the responses by each parameter; None if the parameter changes the body."""
     base_effect = term.effect()
     base, base_robot = probes.responses(base_effect), base_effect.robot(probes.robot)
-    found: list[FloatArray | None] = []
+    found: list[Float64 | None] = []
     for k in range(len(term.values)):
         values = list(term.values)
         values[k] += float(step[k])
@@ -96,9 +94,9 @@ class LinearSpan:
     """Span of the changes that are simulated."""
 
     def __init__(self) -> None:
-        self._rows: list[FloatArray] = []
+        self._rows: list[Float64] = []
 
-    def weights(self, change: FloatArray) -> FloatArray | None:
+    def weights(self, change: Float64) -> Float64 | None:
         """(rows,) weights of the linear combination that a change is; None if it is none.
 
         Delays are excluded: moving one stroke beside another is not the same as moving both.
@@ -113,12 +111,12 @@ class LinearSpan:
             return None
         return np.asarray(weights / sizes)
 
-    def add(self, change: FloatArray) -> None:
+    def add(self, change: Float64) -> None:
         """Add a change that is not in the span."""
         self._rows.append(change)
 
 
-def spread_first(items: Sequence[tuple[FloatArray | None, object]]) -> list[int]:
+def spread_first(items: Sequence[tuple[Float64 | None, object]]) -> list[int]:
     """Order of simulation: changes in few situations first, so that combinations are of simple ones."""
     counts = [0 if change is None else int(np.count_nonzero(change)) for change, _ in items]
     return sorted(range(len(items)), key=lambda index: counts[index])

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.effects import Effect
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.filter import Noise
@@ -25,8 +25,6 @@ from frogkick.identification.fit import (
 )
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import deviance_of, linearised_optimum
-
-FloatArray = NDArray[np.float64]
 
 RELEASE_PENALTY = 8.0
 """Penalty of a release: a parameter stays at its nominal value unless it gains more than this."""
@@ -53,7 +51,7 @@ WRENCH_LEG_S = 0.03
 """The same for effects in the model that act on the body, which lags by half of it."""
 
 
-def best_noise(model: Model, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Fitted:
+def best_noise(model: Model, swims: Sequence[Segments], rows: Bool) -> Fitted:
     """The model with its process noise scaled for the best one-period predictions, without derivatives."""
     given, models = model.noise, []
     for idle, actuated in ((1.0, 1.0), (1.0, 0.4), (0.3, 0.4), (0.1, 0.4)):
@@ -81,7 +79,7 @@ class Refiner:
     """
 
     swims: Sequence[Segments]
-    rows: NDArray[np.bool_]
+    rows: Bool
     replicate_count: int
 
     def refined(self, taken: Fitted) -> Fitted:
@@ -211,7 +209,7 @@ def fine_leg_s(model: Model) -> float:
     return WRENCH_LEG_S if pushes else REFINING_LEG_S
 
 
-def _damping(fitted: Fitted) -> FloatArray:
+def _damping(fitted: Fitted) -> Float64:
     return np.asarray(1e-6 * fitted.residuals.size / fitted.model.range**2)
 
 

@@ -16,8 +16,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.poses import body_from_world
 from frogkick.effects import Body, Effect, History, Stroke
 from frogkick.effects.law import LONG_AGO_S, Law
@@ -29,8 +29,7 @@ from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
 
-FloatArray = NDArray[np.float64]
-Values = Mapping[str, FloatArray | float]
+Values = Mapping[str, Float64 | float]
 
 THIRDS = 3
 LAGS = 5
@@ -68,7 +67,7 @@ class _Stream(Effect):
     def __init__(self, swim: Segments, third: int, flow: Sequence[float]) -> None:
         self._on, self._flow = _thirds(swim, third), tuple(flow)
 
-    def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float]:
+    def flow(self, time_s: float, position_world_m: Float64) -> Sequence[float]:
         return self._flow if self._on(time_s) else (0.0, 0.0)
 
 
@@ -89,7 +88,7 @@ class Weaker(Effect):
         return stroke
 
 
-def _period(starts: FloatArray, time_s: float) -> int:
+def _period(starts: Float64, time_s: float) -> int:
     """Index of the period that contains a time; -1 before the first one."""
     return int(np.searchsorted(starts, time_s + 1e-6, side="right")) - 1
 
@@ -130,19 +129,19 @@ class Responses:
         rates: (f, 3) velocity at each fix, world frame (m/s, m/s, rad/s).
     """
 
-    wrench: FloatArray
-    flow: FloatArray
-    lost: FloatArray
-    source: NDArray[np.int64]
+    wrench: Float64
+    flow: Float64
+    lost: Float64
+    source: Int64
     fix: tuple[Any, Any]
-    heading: FloatArray
+    heading: Float64
     bodies: Values
     strokes: Values
     fixes: Values
-    rates: FloatArray
+    rates: Float64
 
     @property
-    def idle(self) -> FloatArray:
+    def idle(self) -> Float64:
         """(n, 9, l) change of each residual if a limb does nothing in the period and in those before."""
         return np.asarray(self.lost[..., -1].sum(axis=2))
 
@@ -155,7 +154,7 @@ class Responses:
             for name, values in self.strokes.items()
         }
 
-    def to(self, law: Law, parameters: Values, limbs: Sequence[str]) -> FloatArray:
+    def to(self, law: Law, parameters: Values, limbs: Sequence[str]) -> Float64:
         """(n, 9) response of the residuals to a law.
 
         Args:
@@ -201,7 +200,7 @@ class Responses:
         return left.reshape(-1, 9)
 
 
-def _between_losses(loss: FloatArray) -> FloatArray:
+def _between_losses(loss: Float64) -> Float64:
     """(..., 4) weights that interpolate the responses to LOSSES linearly at a loss."""
     first, *_ = LOSSES
     inside = np.clip(loss, first, LOSSES[-1])
@@ -210,12 +209,12 @@ def _between_losses(loss: FloatArray) -> FloatArray:
     return np.stack(weights, axis=-1)
 
 
-def _finite(values: FloatArray | float, *shape: int) -> FloatArray:
+def _finite(values: Float64 | float, *shape: int) -> Float64:
     whole = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
     return np.where(np.isfinite(whole), whole, 0.0)
 
 
-def responses_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Responses:
+def responses_of(nominal: Fitted, swims: Sequence[Segments], rows: Bool) -> Responses:
     """Simulate the responses of runs to forces, flows and weaker strokes, and compute those to fixes.
 
     Args:
@@ -288,7 +287,7 @@ def rollouts_with(
     return [rollouts[i : i + len(swims)] for i in range(0, len(rollouts), len(swims))]
 
 
-def _rates(swim: Segments, at_s: FloatArray) -> FloatArray:
+def _rates(swim: Segments, at_s: Float64) -> Float64:
     """(k, 3) velocities at times, from the fixes around them; world frame."""
     before, after = (
         np.column_stack([np.interp(at_s + beside, swim.time_s, swim.pose[:, axis]) for axis in range(3)])
@@ -297,7 +296,7 @@ def _rates(swim: Segments, at_s: FloatArray) -> FloatArray:
     return np.asarray((after - before) / (2.0 * BESIDE_S))
 
 
-def _seen_at(swim: Segments, at_s: FloatArray) -> dict[str, FloatArray]:
+def _seen_at(swim: Segments, at_s: Float64) -> dict[str, Float64]:
     """State of the robot at times, estimated from its fixes: variable of laws -> (k,) values."""
     x, y, heading = (np.interp(at_s, swim.time_s, swim.pose[:, axis]) for axis in range(3))
     forward, left, turn = body_from_world(heading, _rates(swim, at_s)).T
@@ -307,7 +306,7 @@ def _seen_at(swim: Segments, at_s: FloatArray) -> dict[str, FloatArray]:
     }  # fmt: skip
 
 
-def _bodies(swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Values:
+def _bodies(swims: Sequence[Segments], rows: Bool) -> Values:
     parts = []
     for swim in swims:
         share = (np.arange(THIRDS) + 0.5) / THIRDS
@@ -338,13 +337,10 @@ def _strokes(swims: Sequence[Segments], robot: Robot) -> Values:
             for name, value in zip(others, since, strict=True):
                 seen[name][at] = value
         parts.append(seen)
-    return {
-        "chance": 0.5,
-        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
-    }
+    return {"chance": 0.5, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}}
 
 
-def fired_strokes(swim: Segments, limbs: int) -> FloatArray:
+def fired_strokes(swim: Segments, limbs: int) -> Float64:
     """(m, l) time of each limb's first stroke in each period, s; NaN if it did not fire."""
     found = np.full((len(swim.start_s), limbs), np.nan)
     for period, limb, time_s, _ in _fired(swim, limbs):
@@ -362,7 +358,7 @@ def _fired(swim: Segments, limbs: int) -> Iterator[tuple[int, int, float, Histor
                 yield period, limb, time_s, History(list(swim.strokes[:k]))
 
 
-def _joined(parts: Sequence[FloatArray], rows: NDArray[np.bool_]) -> Any:
+def _joined(parts: Sequence[Float64], rows: Bool) -> Any:
     """Join (m, 3, f) responses of each run to a sparse (3 n, f) matrix; a fix acts in its own run only."""
     from scipy import sparse
 
@@ -373,7 +369,7 @@ def _joined(parts: Sequence[FloatArray], rows: NDArray[np.bool_]) -> Any:
     return sparse.block_diag(kept, format="csr")[np.repeat(rows, 3)]
 
 
-def _filtered(model: Model, swim: Segments, axis: int) -> FloatArray:
+def _filtered(model: Model, swim: Segments, axis: int) -> Float64:
     """(m, 3, f) response of each phase to each fix of a run along one axis, through the Kalman filter.
 
     A shift of the trajectory persists; a change of its velocity decays with GLIDE_S.
@@ -389,7 +385,7 @@ def _filtered(model: Model, swim: Segments, axis: int) -> FloatArray:
     p0, p1, p2, now_s = 4.0 * fix, 0.0, initial_rate_std(swim.rest_rate)[axis] ** 2, swim.begin_s
     now_act = float(np.interp(now_s, *swim.actuated_s))
 
-    def moved(state: tuple[FloatArray, FloatArray, float], time_s: float) -> FloatArray:
+    def moved(state: tuple[Float64, Float64, float], time_s: float) -> Float64:
         since = time_s - state[2]
         grown = GLIDE_S * (1.0 - math.exp(-since / GLIDE_S)) if since > 0.0 else since
         return np.asarray(state[0] + grown * state[1])

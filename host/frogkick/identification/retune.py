@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import PredictionError
@@ -38,8 +38,6 @@ from frogkick.identification.tables import (
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import NOTHING, TOO_LITTLE
 from frogkick.robot import Robot, load_robot, parse_robot
-
-FloatArray = NDArray[np.float64]
 
 BETTER = 0.98
 """The error of new tables must be at most this share of the old ones', in position or in heading."""
@@ -260,7 +258,7 @@ class _Later(Segments):
     judged_from: int = 0
 
     @cached_property
-    def measured(self) -> FloatArray:
+    def measured(self) -> Float64:
         """(m, 3) as in Segments; NaN for the earlier periods."""
         ends = [self.pose_at(float(end)) for end in self.end_s]
         return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)

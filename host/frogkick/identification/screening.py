@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.identification.fit import (
     Fitted,
     Model,
@@ -28,8 +28,6 @@ from frogkick.identification.segments import Segments
 from frogkick.identification.steps import linearised_optimum
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 COARSE_LEG_S, COARSE_STEP_S = 0.18, 2.4e-3
 """How often flows and wrenches are evaluated while candidates are only ranked, and the finest step then."""
@@ -48,14 +46,14 @@ class Column:
     """
 
     term: Term
-    jacobian: FloatArray
+    jacobian: Float64
 
 
 def sensitivities(
     model: Model,
     candidates: Sequence[Term],
     swims: Sequence[Segments],
-    rows: NDArray[np.bool_],
+    rows: Bool,
     progress: Callable[[int, int], None],
 ) -> list[Column]:
     """Jacobians of all candidates; where a parameter has no influence at the start, further starts are tried.
@@ -67,7 +65,7 @@ def sensitivities(
     bare = replace(model, robot=coarsened(model.robot), terms=(), leg_s=COARSE_LEG_S, step_s=COARSE_STEP_S)
     probes = probes_of(model.robot)
     starts: list[Term] = []
-    wanted: list[tuple[FloatArray | None, tuple[int, int]]] = []
+    wanted: list[tuple[Float64 | None, tuple[int, int]]] = []
     for term in candidates:
         own = _own_starts(term, model.robot, swims)
         for start, placed in own:
@@ -87,7 +85,7 @@ def sensitivities(
                     wanted.append((change, (len(starts), k)))
             starts.append(start)
     span, simulated = LinearSpan(), []
-    combined: dict[tuple[int, int], FloatArray] = {}
+    combined: dict[tuple[int, int], Float64] = {}
     places: list[tuple[int, int]] = []
     bodies: list[tuple[int, int]] = []
     for index in spread_first(wanted):
@@ -121,13 +119,13 @@ def sensitivities(
     return [Column(term, jacobian) for term, jacobian in zip(starts, jacobians, strict=True)]
 
 
-def _steps(model: Model) -> FloatArray:
+def _steps(model: Model) -> Float64:
     """The steps of a fit; a long one where a parameter's influence far off is not that of a small step."""
     given = [p.grid[len(p.grid) // 4] if p.grid else 0.0 for term in model.terms for p in term.parameters]
     return np.where(given, given, difference_steps(model))
 
 
-def _changes(probes: Probes, bare: Model, term: Term) -> list[FloatArray | None]:
+def _changes(probes: Probes, bare: Model, term: Term) -> list[Float64 | None]:
     return changes(probes, term, difference_steps(replace(bare, terms=(term,))))
 
 
@@ -146,7 +144,7 @@ def _own_starts(term: Term, robot: Robot, swims: Sequence[Segments]) -> list[tup
     return found
 
 
-def _starts(term: Term, insensitive: NDArray[np.bool_], swims: Sequence[Segments]) -> list[Term]:
+def _starts(term: Term, insensitive: Bool, swims: Sequence[Segments]) -> list[Term]:
     """Starts spread over the insensitive parameters (Halton sequence), within the area of the runs."""
     from scipy.stats import qmc
 
@@ -181,7 +179,7 @@ class Screened:
     column: Column
     gain: float
     score: float
-    values: FloatArray
+    values: Float64
     fixed: frozenset[int]
 
 
@@ -201,7 +199,7 @@ def screened(current: Fitted, column: Column, replicate_count: int) -> Screened:
     both = np.concatenate([current.jacobian, column.jacobian], axis=2)
     damping = np.append(np.full(known, 1e-12), 1e-6 * current.residuals.size / (high - low) ** 2)
 
-    def solve(fixed: frozenset[int]) -> tuple[FloatArray, float]:
+    def solve(fixed: frozenset[int]) -> tuple[Float64, float]:
         free = np.array([k not in fixed for k in range(len(start))])
         lows, highs = np.append(down, low * free), np.append(up, high * free)
         return linearised_optimum(current.residuals, both, lows, highs, damping)

@@ -14,8 +14,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.progress import TellStage, silent
 from frogkick.identification.backward import resolve_equivalent, revise, with_term_at, without
@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from frogkick.identification.misfires import Misfires
     from frogkick.identification.responses import Responses
 
-FloatArray = NDArray[np.float64]
 
 REFINED = 3
 """Candidates that are fitted by simulation in each iteration; the others are judged by their derivatives."""
@@ -135,7 +134,7 @@ class Found:
     nominal: Fitted
     fitted: Fitted
     iterations: list[list[CandidateScore]]
-    rows: NDArray[np.bool_]
+    rows: Bool
     confounded_with: list[list[str]]
     sensitivities: list[Column] = field(default_factory=list)
     rivals: list[list[Term]] = field(default_factory=list)
@@ -145,7 +144,7 @@ class Found:
     responses: Responses | None = None
 
 
-Baseline = tuple[Model, NDArray[np.bool_], Fitted]
+Baseline = tuple[Model, Bool, Fitted]
 """Result of ``nominal_fit``."""
 
 
@@ -166,7 +165,7 @@ def nominal_fit(swims: Sequence[Segments], robot: Robot) -> Baseline:
     return fitted.model, rows, fitted
 
 
-def folds_of(swims: Sequence[Segments], rows: NDArray[np.bool_]) -> NDArray[np.int64]:
+def folds_of(swims: Sequence[Segments], rows: Bool) -> Int64:
     """(n,) cross-validation fold of each used period: a run, or a stretch of one where runs are few."""
     parts = -(-FOLDS_MIN // max(len(swims), 1))
     labels: list[int] = []
@@ -245,8 +244,8 @@ def _left(nominal: Fitted, fitted: Fitted) -> float:
 @dataclass(frozen=True, eq=False)
 class _ForwardSelection:
     swims: Sequence[Segments]
-    rows: NDArray[np.bool_]
-    folds: NDArray[np.int64]
+    rows: Bool
+    folds: Int64
     columns: Sequence[Column]
     replicate_count: int
     """Runs that are replicates with the same noise: their gain counts once."""

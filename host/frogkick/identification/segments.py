@@ -9,14 +9,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.robot import Robot
 from frogkick.runs.recorded.importer import clock_problem, load_run
 from frogkick.runs.runlog import FixFlag, RunLog
-
-FloatArray = NDArray[np.float64]
 
 LEAD_S = 1.0
 """How long before the first stroke the simulation starts."""
@@ -68,13 +66,13 @@ class Segments:
     name: str
     robot_id: str
     action_names: tuple[str, ...]
-    time_s: FloatArray
-    arrival_s: FloatArray
-    pose: FloatArray
+    time_s: Float64
+    arrival_s: Float64
+    pose: Float64
     strokes: tuple[tuple[float, int], ...]
-    start_s: FloatArray
-    action: NDArray[np.int64]
-    end_s: FloatArray
+    start_s: Float64
+    action: Int64
+    end_s: Float64
     period_s: float
     lag_s: float
     problem: str = ""
@@ -87,7 +85,7 @@ class Segments:
         return float(self.time_s[min(np.searchsorted(self.time_s, first - LEAD_S), len(self.time_s) - 1)])
 
     @cached_property
-    def actuated_s(self) -> FloatArray:
+    def actuated_s(self) -> Float64:
         """(2, k) knots: time, and cumulative actuation time by then."""
         knots, total, until = [(self.begin_s - 1e3, 0.0)], 0.0, -math.inf
         for time_s, _ in self.strokes:
@@ -101,7 +99,7 @@ class Segments:
         return np.array([*knots, (knots[-1][0] + 1e6, total)]).T
 
     @cached_property
-    def segment_times_s(self) -> FloatArray:
+    def segment_times_s(self) -> Float64:
         """Times at which fixes correct the simulation: all starts and ends of periods."""
         times = [float(time) for time in self.start_s if time > self.begin_s]
         times += [float(end) for end in self.end_s if end > self.begin_s]
@@ -112,12 +110,12 @@ class Segments:
         return np.array(kept)
 
     @cached_property
-    def measured(self) -> FloatArray:
+    def measured(self) -> Float64:
         """(m, 3) pose at each period's end, from the fixes around it; NaN if there are too few."""
         return np.array([self.pose_at(float(end)) for end in self.end_s]).reshape(-1, 3)
 
     @cached_property
-    def end_noise(self) -> FloatArray:
+    def end_noise(self) -> Float64:
         """(m,) variance of the poses in ``measured`` over that of a fix; NaN where one is not known."""
         found = np.full(len(self.end_s), np.nan)
         for k, end in enumerate(self.end_s):
@@ -127,7 +125,7 @@ class Segments:
                 found[k] = np.linalg.pinv(design.T @ design)[0, 0]
         return found
 
-    def pose_at(self, at_s: float) -> FloatArray:
+    def pose_at(self, at_s: float) -> Float64:
         """(3,) pose by a straight line through the fixes just before a time; NaN if there are too few."""
         near = self._near(at_s)
         if near is None:
@@ -135,7 +133,7 @@ class Segments:
         line, *_ = np.linalg.lstsq(near[1], self.pose[near[0]], rcond=None)
         return np.asarray(line[0])
 
-    def _near(self, at_s: float) -> tuple[NDArray[np.bool_], FloatArray] | None:
+    def _near(self, at_s: float) -> tuple[Bool, Float64] | None:
         """Which fixes determine a pose, and the (n, 2) design matrix of a line; None if there are too few."""
         for before_s in (_END_BEFORE_S, 2.0 * _END_BEFORE_S):
             near = (self.time_s >= at_s - before_s) & (self.time_s <= at_s + _END_AFTER_S)
@@ -240,7 +238,7 @@ def part_of(swims: Sequence[Segments], periods: int) -> list[Segments]:
     return [swim for swim in some if len(swim.start_s)]
 
 
-def _rest_rate(run: RunLog, time_s: FloatArray) -> tuple[float, float, float] | None:
+def _rest_rate(run: RunLog, time_s: Float64) -> tuple[float, float, float] | None:
     """See Segments.rest_rate; frames are taken to be as far apart as those whose times are known."""
     fixes = run.fixes
     rest = (fixes.flags & _UNTIMED) == _UNTIMED
@@ -274,7 +272,7 @@ def replicate_count(swims: Sequence[Segments]) -> int:
     return max(kinds.values(), default=1)
 
 
-def _check_units(name: str, time_s: FloatArray, pose: FloatArray) -> None:
+def _check_units(name: str, time_s: Float64, pose: Float64) -> None:
     """Refuse headings and positions that cannot be in radians and metres.
 
     Raises:
@@ -298,7 +296,7 @@ def _check_units(name: str, time_s: FloatArray, pose: FloatArray) -> None:
         )
 
 
-def _check_clock(name: str, age_s: FloatArray) -> None:
+def _check_clock(name: str, age_s: Float64) -> None:
     """Refuse capture times by a clock that jumped against the one of arrivals.
 
     Raises:

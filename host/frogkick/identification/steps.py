@@ -15,11 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.compiled import kept
-
-FloatArray = NDArray[np.float64]
 
 DOF = 4.0
 """Degrees of freedom of the density of residuals: strokes have heavier tails than a normal density."""
@@ -37,17 +35,17 @@ _EM_TOLERANCE = 1e-7
 """A change of the deviance that ends the iteration of the scale."""
 
 
-def scale_of(residuals: FloatArray) -> FloatArray:
+def scale_of(residuals: Float64) -> Float64:
     """(d, d) maximum-likelihood scale matrix of the Student-t density of (n, d) residuals, never singular."""
     return _maximum_likelihood_scale(residuals)[0]
 
 
-def deviance_of(residuals: FloatArray) -> float:
+def deviance_of(residuals: Float64) -> float:
     """Deviance of (n, d) residuals, Student-t distributed with their maximum-likelihood scale."""
     return _maximum_likelihood_scale(residuals)[1]
 
 
-def log_density(residuals: FloatArray, scale: FloatArray) -> FloatArray:
+def log_density(residuals: Float64, scale: Float64) -> Float64:
     """(n,) log density of (n, d) residuals under the Student-t density of a (d, d) scale matrix.
 
     Source: Lange, Little, Taylor 1989, equation 1.
@@ -66,7 +64,7 @@ def _constant(width: int) -> float:
     return 2.0 * (math.lgamma(0.5 * DOF) - math.lgamma(0.5 * (DOF + width))) + width * math.log(DOF * math.pi)
 
 
-def _maximum_likelihood_scale(residuals: FloatArray) -> tuple[FloatArray, float]:
+def _maximum_likelihood_scale(residuals: Float64) -> tuple[Float64, float]:
     """The maximum-likelihood scale matrix, and the deviance with it."""
     count, width = residuals.shape
     least = np.square(np.resize(np.array(_SCALE_MIN), width))
@@ -78,7 +76,7 @@ def _maximum_likelihood_scale(residuals: FloatArray) -> tuple[FloatArray, float]
 
 
 @kept()
-def _em_scale(residuals: FloatArray, least: FloatArray, dof: float, exact: float) -> tuple[FloatArray, float]:
+def _em_scale(residuals: Float64, least: Float64, dof: float, exact: float) -> tuple[Float64, float]:
     """Scale matrix of least deviance by parameter-expanded EM, regularised, and that deviance."""
     count, width = residuals.shape
     scale = np.diag(least)
@@ -119,8 +117,8 @@ def _em_scale(residuals: FloatArray, least: FloatArray, dof: float, exact: float
 
 
 def linearised_optimum(
-    residuals: FloatArray, jacobian: FloatArray, low: FloatArray, high: FloatArray, damping: FloatArray
-) -> tuple[FloatArray, float]:
+    residuals: Float64, jacobian: Float64, low: Float64, high: Float64, damping: Float64
+) -> tuple[Float64, float]:
     """(p,) optimum within bounds if residuals were linear in the parameters, and the deviance there.
 
     Iteratively reweighted least squares: the remaining residuals set the weights, so the step is repeated.
@@ -147,13 +145,8 @@ def linearised_optimum(
 
 
 def cross_fitted(
-    residuals: FloatArray,
-    jacobian: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-    damping: FloatArray,
-    folds: NDArray[np.int64],
-) -> FloatArray:
+    residuals: Float64, jacobian: Float64, low: Float64, high: Float64, damping: Float64, folds: Int64
+) -> Float64:
     """(n,) cross-validated log density of each period: its own fold had no part in parameters and scale.
 
     Residuals are taken as linear in the parameters. From the point of linearisation all parameters may move
@@ -173,7 +166,7 @@ def cross_fitted(
     return scores
 
 
-def held_out_density(residuals: FloatArray, test: NDArray[np.bool_]) -> FloatArray:
+def held_out_density(residuals: Float64, test: Bool) -> Float64:
     """(k,) log density of the k periods held out, by the scale of the others.
 
     Args:
@@ -184,18 +177,18 @@ def held_out_density(residuals: FloatArray, test: NDArray[np.bool_]) -> FloatArr
     return log_density(residuals[test], scale)
 
 
-def _shrunk(scale: FloatArray, count: int) -> FloatArray:
+def _shrunk(scale: Float64, count: int) -> Float64:
     """A scale matrix of few periods with its correlations shrunk, as if d more periods had shown none."""
     width = len(scale)
     return np.asarray((count * scale + width * np.diag(np.diag(scale))) / (count + width))
 
 
-def whitener(residuals: FloatArray) -> FloatArray:
+def whitener(residuals: Float64) -> Float64:
     """(d, d) whitening matrix: (n, d) residuals times it are uncorrelated and of scale one."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(scale_of(residuals))).T)
 
 
-def whiten(white: FloatArray, residuals: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+def whiten(white: Float64, residuals: Float64, jacobian: Float64) -> tuple[Float64, Float64]:
     """(d n,) residuals and (d n, p) derivatives, whitened and times the root of each period's Student-t
     weight.
 
@@ -209,8 +202,8 @@ def whiten(white: FloatArray, residuals: FloatArray, jacobian: FloatArray) -> tu
 
 
 def bounded_step(
-    jacobian: FloatArray, residual: FloatArray, damping: FloatArray, low: FloatArray, high: FloatArray
-) -> FloatArray:
+    jacobian: Float64, residual: Float64, damping: Float64, low: Float64, high: Float64
+) -> Float64:
     """(p,) damped least-squares step within bounds (active set): what reaches a bound is fixed there."""
     normal = jacobian.T @ jacobian + np.diag(damping)
     right = -jacobian.T @ residual

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.poses import PredictionError, compose, wrap_angle
 from frogkick.core.progress import Tell
 from frogkick.effects import Effect, Fix
@@ -19,9 +19,6 @@ from frogkick.identification.outcome import Outcome
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 EARLIER = 8
 """Number of earlier actions that a look-up takes."""
@@ -91,7 +88,7 @@ class Tools(Protocol):
     def states(self, image: bytes) -> int:
         """How many states a table image has."""
 
-    def looked_up(self, image: bytes, velocity_body: FloatArray, previous: IntArray) -> FloatArray:
+    def looked_up(self, image: bytes, velocity_body: Float64, previous: Int64) -> Float64:
         """(n, a, 6) transitions in a table image from (n, 3) velocities after (n, EARLIER) actions."""
 
     def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
@@ -133,7 +130,7 @@ def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> li
 
 def _gaps(
     tools: Tools, image: bytes, swim: Segments, rollout: Rollout, effects: Sequence[Effect], periods: int
-) -> FloatArray:
+) -> Float64:
     """(m, 3) measured minus looked-up pose so many periods after each start; NaN if unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
     # Periods that were cut short or lengthened are excluded: tables do not know of them.
@@ -163,7 +160,7 @@ def _gaps(
     return gap
 
 
-def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[float, float, float]:
+def _shown(effects: Sequence[Effect], time_s: float, pose: Float64) -> tuple[float, float, float]:
     """A pose as the camera shows it."""
     seen = Fix(time_s, 0.0, *(float(value) for value in pose))
     for effect in effects:
@@ -171,7 +168,7 @@ def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[
     return seen.x_m, seen.y_m, seen.heading_rad
 
 
-def earlier_actions(swim: Segments) -> IntArray:
+def earlier_actions(swim: Segments) -> Int64:
     """(m, EARLIER) actions of the periods before each one, newest first, RESTED beyond a gap or the start."""
     previous = np.full((len(swim.start_s), EARLIER), RESTED, dtype=np.int64)
     for period in range(1, len(previous)):

@@ -7,16 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.effects import BUILT_IN, Effect, Parameter
 from frogkick.effects.registry import effect_classes, make_effect
 from frogkick.effects.water import OUTWARD
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ class Term:
         given = {p.name: float(v) for p, v in zip(self.parameters, self.values, strict=True)}
         return make_effect({**dict(self.table), **given}, self.folder)
 
-    def at(self, values: Sequence[float] | FloatArray) -> Term:
+    def at(self, values: Sequence[float] | Float64) -> Term:
         """The same with other values, clipped to their bounds."""
         inside = [
             min(max(float(value), p.low), p.high) for value, p in zip(values, self.parameters, strict=True)

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from frogkick import der
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.bootstrap import CONFIDENCE, mean_interval, moved_by, standard_errors
@@ -29,8 +29,6 @@ from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found
 from frogkick.identification.segments import ACTUATION_S, Segments, replicate_count
 from frogkick.identification.steps import log_density, scale_of
-
-FloatArray = NDArray[np.float64]
 
 NOTHING, FOUND, PARTLY = "nothing missing", "found", "partly explained"
 FOUND_LAW = "found: law"
@@ -64,7 +62,7 @@ FAR = 2.0
 """Multiple of an interval's half width: a true value beyond that is no chance (one in 10,000)."""
 
 
-def prediction_errors(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> FloatArray:
+def prediction_errors(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Float64:
     """(n, 3) measured minus predicted pose at the ends of all periods; NaN if unknown."""
     every = [swim.measured - rollout.predicted for rollout, swim in zip(rollouts, swims, strict=True)]
     gap = np.concatenate(every) if every else np.empty((0, 3))
@@ -78,7 +76,7 @@ def fix_noise(swims: Sequence[Segments]) -> tuple[float, float] | None:
     Four consecutive fixes are compared with the parabola that fits them best, so whatever is smooth in a
     glide cancels, and no model is needed; noise is taken as white. None if there are too few glides.
     """
-    parts: list[FloatArray] = []
+    parts: list[Float64] = []
     for swim in swims:
         fired = np.array([time_s for time_s, _ in swim.strokes])
         times = np.lib.stride_tricks.sliding_window_view(swim.time_s, 4) if len(swim.time_s) > 3 else None
@@ -101,7 +99,7 @@ def fix_noise(swims: Sequence[Segments]) -> tuple[float, float] | None:
     return _scatter(every[:, :2].ravel()), _scatter(every[:, 2])
 
 
-def _scatter(values: FloatArray) -> float:
+def _scatter(values: Float64) -> float:
     """Standard deviation of normal values about zero, outliers excluded (a truncated estimate)."""
     from scipy import stats
 
@@ -260,7 +258,7 @@ class Interval:
         return self.low - more <= value <= self.high + more
 
 
-def discretisation_shift(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> FloatArray:
+def discretisation_shift(fitted: Fitted, swims: Sequence[Segments], rows: Bool) -> Float64:
     """(p,) shift of the parameters due to discretisation: with steps as short as the simulated pool's.
 
     Args:
@@ -276,9 +274,7 @@ def discretisation_shift(fitted: Fitted, swims: Sequence[Segments], rows: NDArra
     return moved_by(change, fitted.residuals, fitted.jacobian, fitted.model.range)
 
 
-def intervals(
-    fitted: Fitted, rows: NDArray[np.bool_] | None = None, bias: FloatArray | None = None
-) -> list[list[Interval]]:
+def intervals(fitted: Fitted, rows: Bool | None = None, bias: Float64 | None = None) -> list[list[Interval]]:
     """Intervals of each term's parameters: each contains its true value with probability CONFIDENCE.
 
     Args:
@@ -313,7 +309,7 @@ def intervals(
     return found
 
 
-def _runs_of(fitted: Fitted, rows: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+def _runs_of(fitted: Fitted, rows: Bool | None) -> Int64:
     """(n,) the run that each period of ``fitted.residuals`` belongs to."""
     labels = np.repeat(np.arange(len(fitted.rollouts)), [len(rollout.start) for rollout in fitted.rollouts])
     return labels if rows is None else labels[rows]

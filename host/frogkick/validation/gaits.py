@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.der import Failure, Gait, Rods, Swimmer, Track, simulate_gait_tracks
@@ -17,8 +17,6 @@ from frogkick.library.transitions import lane_effects
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
-
-FloatArray = NDArray[np.float64]
 
 CYCLES = 8
 FIRST_CYCLE = 5
@@ -37,13 +35,13 @@ class GaitSwim:
     """
 
     gait: Gait
-    time_s: FloatArray
-    forward_m: FloatArray
+    time_s: Float64
+    forward_m: Float64
     speed_mps: float
     cost_of_transport: float
 
 
-def speed_over_cycles(time_s: FloatArray, forward_m: FloatArray, frequency_hz: float) -> float:
+def speed_over_cycles(time_s: Float64, forward_m: Float64, frequency_hz: float) -> float:
     """Return the mean speed (m/s) over cycles 5 to 8: (y(8/f) - y(5/f)) / (3/f), linearly interpolated."""
     start, end = FIRST_CYCLE / frequency_hz, CYCLES / frequency_hz
     at = np.interp([start, end], time_s, forward_m)

@@ -12,14 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Bool, Float64
 from frogkick.core.errors import InputError
 from frogkick.robot import Limb, Robot
 from frogkick.validation.gaits import GaitSwim
 from frogkick.validation.validate import Validation, by_group, root_mean_square, swum_of, wave_rms_m
-
-FloatArray = NDArray[np.float64]
 
 SPEED_SD_MPS = 0.5e-3
 """Standard deviation of a speed in the fit: a negligible difference between two simulations of a gait."""
@@ -42,8 +40,7 @@ def _limbs(change: Callable[[Limb, float], Limb]) -> Change:
 
 CONSTANTS: Mapping[str, Change] = {
     "frame mass": lambda robot, by: replace(
-        robot,
-        frame=replace(robot.frame, mass_per_length_kg_per_m=robot.frame.mass_per_length_kg_per_m * by),
+        robot, frame=replace(robot.frame, mass_per_length_kg_per_m=robot.frame.mass_per_length_kg_per_m * by)
     ),
     "limb stiffness": _limbs(lambda limb, by: replace(limb, second_moment_m4=limb.second_moment_m4 * by)),
     "limb drag": _limbs(
@@ -94,9 +91,7 @@ class Matched:
 
 
 def matched_without(
-    validation: Validation,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda _done, _all: None,
+    validation: Validation, workers: int = 1, progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> Matched:
     """Match the constants to all EGaIn fractions but one, for each fraction, and predict that one.
 
@@ -117,7 +112,7 @@ def matched_without(
             f"simulations of {len(every)} EGaIn fractions, needed are 2 to leave one out: give sim/ with more"
         )
 
-    def swum_with(factors: FloatArray, rows: NDArray[np.bool_]) -> list[GaitSwim]:
+    def swum_with(factors: Float64, rows: Bool) -> list[GaitSwim]:
         robot = validation.robot
         for change, factor in zip(CONSTANTS.values(), factors.tolist(), strict=True):
             robot = change(robot, factor)
@@ -127,10 +122,10 @@ def matched_without(
             raise InputError(next(iter(failed.values())))
         return [swum[gait] for gait in gaits]
 
-    def missed(factors: FloatArray, rows: NDArray[np.bool_]) -> FloatArray:
+    def missed(factors: Float64, rows: Bool) -> Float64:
         return np.asarray([swim.speed_mps for swim in swum_with(factors, rows)] - known[rows])
 
-    def residual(factors: FloatArray, rows: NDArray[np.bool_]) -> FloatArray:
+    def residual(factors: Float64, rows: Bool) -> Float64:
         return np.asarray(np.append(missed(factors, rows) / SPEED_SD_MPS, np.log(factors) / WIDTH))
 
     parts, errors_mps, waves_m = list[LeftOut](), np.zeros(len(cases)), np.zeros(len(cases))

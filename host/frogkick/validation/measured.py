@@ -20,15 +20,13 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.der import Gait
 from frogkick.robot import Profile, fit_profile
 from frogkick.robot.profile import read_mat
-
-FloatArray = NDArray[np.float64]
 
 SIMULATIONS = "simulations"
 EXPERIMENTS = "experiments"
@@ -67,8 +65,8 @@ class Skipped:
 class Swim:
     """A measured swim: (n,) times, s, and distances along its track, m."""
 
-    time_s: FloatArray
-    distance_m: FloatArray
+    time_s: Float64
+    distance_m: Float64
 
 
 @dataclass(frozen=True)
@@ -168,7 +166,7 @@ def find_cases(folder: Path) -> tuple[list[Case], list[Skipped]]:
     return cases, skipped
 
 
-def read_simulation(path: Path) -> tuple[FloatArray, FloatArray]:
+def read_simulation(path: Path) -> tuple[Float64, Float64]:
     """Read one of the authors' simulations: (n,) time, s, and forward position, m.
 
     Raises:

@@ -247,10 +247,7 @@ def _point_of(row: dict[str, float | str | None]) -> Point:
     missing = math.nan if failure else math.inf  # without forward motion the cost is infinite
     speed, cost = row["speed_mps"], row["cost_of_transport"]
     return Point(
-        gait,
-        math.nan if speed is None else float(speed),
-        missing if cost is None else float(cost),
-        failure,
+        gait, math.nan if speed is None else float(speed), missing if cost is None else float(cost), failure
     )
 
 

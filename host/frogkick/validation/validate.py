@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.der import WIDTH, Gait
 from frogkick.robot import Robot
@@ -28,8 +28,6 @@ from frogkick.validation.measured import (
     read_swim,
     steady_speed,
 )
-
-FloatArray = NDArray[np.float64]
 
 SPEED_LIMITS_MPS = {f"{SIMULATIONS}/freq": 1.2e-3, f"{SIMULATIONS}/phase": 0.5e-3}
 WITHIN_CYCLE_LIMIT_M = 0.3e-3
@@ -55,9 +53,9 @@ class SimulationResult:
     model_mps: float
     within_cycle_rms_m: float
     profile: str
-    time_s: FloatArray
-    reference_wave_m: FloatArray
-    model_wave_m: FloatArray
+    time_s: Float64
+    reference_wave_m: Float64
+    model_wave_m: Float64
 
     @property
     def error_mps(self) -> float:
@@ -111,7 +109,7 @@ class _Reference:
     """The reference of a case: a simulation's track or a swim's speed."""
 
     case: Case
-    track: tuple[FloatArray, FloatArray] | None = None
+    track: tuple[Float64, Float64] | None = None
     steady: SteadySpeed | None = None
     tabulated_mps: float | None = None
 
@@ -221,12 +219,12 @@ def swum_of(
     return swum, failed
 
 
-def _wave(time_s: FloatArray, forward_m: FloatArray, speed_mps: float) -> FloatArray:
+def _wave(time_s: Float64, forward_m: Float64, speed_mps: float) -> Float64:
     wave = forward_m - speed_mps * time_s
     return np.asarray(wave - wave.mean())
 
 
-def _model_wave(time_s: FloatArray, swum: GaitSwim) -> FloatArray:
+def _model_wave(time_s: Float64, swum: GaitSwim) -> Float64:
     return _wave(time_s, np.interp(time_s, swum.time_s, swum.forward_m), swum.speed_mps)
 
 
@@ -237,7 +235,7 @@ def wave_rms_m(result: SimulationResult, swum: GaitSwim) -> float:
 
 
 def _against_simulation(
-    case: Case, track: tuple[FloatArray, FloatArray], swum: GaitSwim, profiles: Profiles
+    case: Case, track: tuple[Float64, Float64], swum: GaitSwim, profiles: Profiles
 ) -> SimulationResult:
     frequency_hz = case.gait.frequency_hz
     cycles = CYCLES - FIRST_CYCLE

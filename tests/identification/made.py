@@ -133,24 +133,26 @@ def known_outcome(
 ) -> Outcome:
     """What identification would end with, were these the right values of the right effect: no search."""
     plain = next(each for each in catalogue(robot()) if each.title == title)
-    model, rows, nominal = nominal_fit(train, robot())
-    known = replace(model, terms=(plain.at(values),), noise=Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3)))
+    data, nominal = nominal_fit(train, robot())
+    known = replace(
+        nominal.model, terms=(plain.at(values),), noise=Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
+    )
     free = replace(
         known, fixed=frozenset(k for k, p in enumerate(plain.parameters) if values[k] == p.nominal)
     )
-    (fitted,) = derivatives([free], train, rows)
+    (fitted,) = derivatives([free], data)
     rollouts = rollouts_of([nominal.model, known], test)
-    found = Found(nominal, fitted, [], rows, [[]], stability=[1.0])
+    found = Found(data, nominal, fitted, confounded_with=[[]], stability=[1.0])
     return Outcome(
         verdict=FOUND,
         robot=robot(),
         train=train,
         test=test,
         found=found,
-        parameters=intervals(fitted, rows),
-        trained=scored(found, train, train, nominal.rollouts, fitted.rollouts),
-        tested=scored(found, train, test, *rollouts),
+        parameters=intervals(fitted, data),
+        trained=scored(found, train, nominal.rollouts, fitted.rollouts),
+        tested=scored(found, test, *rollouts),
         nominal_rollouts=rollouts[0],
         rollouts=rollouts[1],
-        diagnostics=residual_diagnostics(fitted, rows, train),
+        diagnostics=residual_diagnostics(fitted, data),
     )

@@ -15,12 +15,13 @@ from frogkick.identification.backward import (
     revise,
     stability,
     superfluous_term,
-    without,
 )
 from frogkick.identification.choice import STABLE, _at_bound, in_all_fixes, pruned
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
+    REFINING_LEG_S,
     STEP_SHARES,
+    WRENCH_LEG_S,
     Fitted,
     Model,
     _damped_step,
@@ -29,9 +30,9 @@ from frogkick.identification.fit import (
     fit,
 )
 from frogkick.identification.law_kinds import kinds_of
-from frogkick.identification.refine import REFINING_LEG_S, WRENCH_LEG_S, Refiner, fine_leg_s
-from frogkick.identification.search import Found, folds_of, nominal_fit
-from frogkick.identification.segments import Segments
+from frogkick.identification.refine import Refiner
+from frogkick.identification.search import Found, nominal_fit
+from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import deviance_of
 from frogkick.identification.terms import Term
 
@@ -43,9 +44,9 @@ def held_but(model: Model, *free: int) -> Model:
     return replace(model, fixed=frozenset(range(len(model.values))) - set(free))
 
 
-def fitted_to(swims: list[Segments], rows: np.ndarray, terms: tuple[Term, ...], *free: int) -> Fitted:
+def fitted_to(data: Data, terms: tuple[Term, ...], *free: int) -> Fitted:
     model = held_but(Model(robot(), terms, QUIET, REFINING_LEG_S), *free)
-    return derivatives([fit(model, swims, rows, 4).model], swims, rows)[0]
+    return derivatives([fit(model, data, 4).model], data)[0]
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +57,10 @@ def late() -> list[Segments]:
 
 @from_ci
 def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) -> None:
-    rows = nominal_fit(late, robot())[1]
+    data = nominal_fit(late, robot())[0]
     terms = (term("steady_wrench", 1e-4, 0.0, 0.0), term("limb_wear rear_left"), term("fix_latency", 0.1))
-    current = fitted_to(late, rows, terms, 0, 3, 6)
-    found, confounded = revise(Refiner(late, rows, 1), current, [[term("fix_latency")], [], []], [[], [], []])
+    current = fitted_to(data, terms, 0, 3, 6)
+    found, confounded = revise(Refiner(data), current, [[term("fix_latency")], [], []], [[], [], []])
     assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
     assert len(confounded) == 2
     assert found.model.terms[0].values[0] == pytest.approx(0.7, abs=0.01)
@@ -73,22 +74,22 @@ def test_a_constant_that_pauses_is_said_as_a_law_at_intervals(delayed_first: boo
     kind = next(each for each in kinds_of(robot(), swims) if each.title == "fixes late at intervals")
     planted = {"late": 0.12, "cycle": 7.3, "middle": 2.0, "share": 0.6}
     late = [make_swim([{**dict(kind.term(planted).table), **planted}], seed, 16) for seed in (4, 5)]
-    rows = nominal_fit(late, robot())[1]
+    data = nominal_fit(late, robot())[0]
     pauses = kind.term({"late": -0.12, "cycle": 7.3, "middle": 2.0 + 3.65, "share": 0.4})
     constant = term("fix_latency", 0.12)
     terms = (constant, pauses) if delayed_first else (pauses, constant)
-    current = fitted_to(late, rows, terms, 0, 1, 2, 3, 4)
-    found, kept = backward_elimination(Refiner(late, rows, 1), current)
+    current = fitted_to(data, terms, 0, 1, 2, 3, 4)
+    found, kept = backward_elimination(Refiner(data), current)
     assert kept == [terms.index(pauses)]
     values = dict(zip((p.name for p in pauses.parameters), found.model.terms[0].values, strict=True))
     assert values["late"] == pytest.approx(0.12, abs=0.01) and values["share"] == pytest.approx(0.6, abs=0.03)
     assert (values["middle"] - 2.0 + 3.65) % 7.3 == pytest.approx(3.65, abs=0.2)
     # Such fixes seem to jump as well, where one comes late: the law makes jumps superfluous.
-    baseline = nominal_fit(late, robot())[2]
-    alone = Found(baseline, found, [], rows, [[]])
+    baseline = nominal_fit(late, robot())[1]
+    alone = Found(data, baseline, found, confounded_with=[[]])
     again = in_all_fixes(alone, late, robot())
     assert again is not None and again.fitted.model.terms[0].title == pauses.title
-    assert in_all_fixes(Found(baseline, baseline, [], rows, []), late, robot()) is None
+    assert in_all_fixes(Found(data, baseline, baseline), late, robot()) is None
 
 
 def test_a_parameter_at_its_bound_is_no_end_of_the_search() -> None:
@@ -100,12 +101,12 @@ def test_a_parameter_at_its_bound_is_no_end_of_the_search() -> None:
 @from_ci
 def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Segments]) -> None:
     """Every stroke late is nearly the same as every fix late, and not quite where the worn limb is known."""
-    rows = nominal_fit(late, robot())[1]
-    taken = fitted_to(late, rows, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
-    rival = fitted_to(late, rows, (term("fix_latency", 0.1),), 0)
+    data = nominal_fit(late, robot())[0]
+    taken = fitted_to(data, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
+    rival = fitted_to(data, (term("fix_latency", 0.1),), 0)
     terms = (*taken.model.terms, term("limb_wear rear_left", 0.8, 0.0, 1.0))
-    current = fitted_to(late, rows, terms, 1, 3)
-    found, confounded = revise(Refiner(late, rows, 1), current, [[], []], [[taken, rival], []])
+    current = fitted_to(data, terms, 1, 3)
+    found, confounded = revise(Refiner(data), current, [[], []], [[taken, rival], []])
     assert [each.title for each in found.model.terms] == ["fix_latency", "limb_wear rear_left"]
     assert found.model.terms[0].values[0] == pytest.approx(0.12, abs=0.01)
     assert all(each.title == "limb_wear all" for each in confounded[0])
@@ -114,14 +115,14 @@ def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[S
 @from_ci
 def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Segments]) -> None:
     """Four effects that each gained something imitate one that did not seem best after the first of them."""
-    rows = nominal_fit(late, robot())[1]
-    wear = fitted_to(late, rows, (term("limb_wear rear_left", 0.8, 0.0, 1.0),), 0)
-    latency = fitted_to(late, rows, (term("fix_latency", 0.1),), 0)
+    data = nominal_fit(late, robot())[0]
+    wear = fitted_to(data, (term("limb_wear rear_left", 0.8, 0.0, 1.0),), 0)
+    latency = fitted_to(data, (term("fix_latency", 0.1),), 0)
     limbs = ("rear_left", "rear_right", "front_left", "front_right")
     terms = tuple(term(f"limb_wear {limb}", 0.7 if limb == "rear_left" else 1.0, 0.1, 1.0) for limb in limbs)
-    current = fitted_to(late, rows, terms, 0, 1, 4, 7, 10)
-    refiner, none = Refiner(late, rows, 1), [list[Fitted]()] * 4
-    every = fitted_to(late, rows, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
+    current = fitted_to(data, terms, 0, 1, 4, 7, 10)
+    refiner, none = Refiner(data), [list[Fitted]()] * 4
+    every = fitted_to(data, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
     found, confounded = revise(refiner, current, [[], [], [], []], none, [every, wear, latency])
     assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
     assert confounded[0] == [] and [each.title for each in confounded[1]] in ([], ["limb_wear all"])
@@ -161,24 +162,23 @@ def test_a_wall_is_followed_as_finely_as_in_the_pool() -> None:
         ("wall x_high", (0.4, 0.5, 0.0), WRENCH_LEG_S),
         ("fix_latency", (0.1,), REFINING_LEG_S),
     ):
-        assert fine_leg_s(Model(robot(), (term(title, *values),), QUIET)) == leg_s
+        assert Model(robot(), (term(title, *values),), QUIET).fine_leg_s == leg_s
 
 
 def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Segments]) -> None:
     """Of a right effect and an idle one beside it, the idle one costs nothing when it is left out."""
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
-    rows, fixed = nominal_fit(late, robot())[1], frozenset({1, 2})
-    (whole,) = derivatives([Model(robot(), terms, QUIET, REFINING_LEG_S, fixed=fixed)], late, rows)
-    folds = folds_of(late, rows)
-    place = superfluous_term(whole, folds, late)
+    data, fixed = nominal_fit(late, robot())[0], frozenset({1, 2})
+    (whole,) = derivatives([Model(robot(), terms, QUIET, REFINING_LEG_S, fixed=fixed)], data)
+    place = superfluous_term(whole, data)
     assert place == 2
-    less = without(whole.model, place)
+    less = whole.model.without(place)
     assert [each.title for each in less.terms] == [
         "limb_wear rear_left",
         "fix_latency",
     ] and less.fixed == fixed
-    (fitted,) = derivatives([less], late, rows)
-    assert superfluous_term(fitted, folds, late) is None
+    (fitted,) = derivatives([less], data)
+    assert superfluous_term(fitted, data) is None
 
 
 @from_ci
@@ -186,14 +186,14 @@ def test_what_few_draws_of_the_runs_would_take_is_unstable(
     late: list[Segments], whole: list[Segments]
 ) -> None:
     """Effects that are there would be taken in every draw; one that is not in few, though it was fitted."""
-    rows = nominal_fit(late, robot())[1]
+    data = nominal_fit(late, robot())[0]
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
-    fitted = fitted_to(late, rows, terms, 0, 3, 4)
-    shares = stability(fitted, rows, late, True)
+    fitted = fitted_to(data, terms, 0, 3, 4)
+    shares = stability(fitted, data, True)
     assert min(shares[:2]) > 0.95 and shares[2] < STABLE
     begun = nominal_fit(whole, robot())
     alone = fitted_to(whole, begun[1], (term("limb_wear front_left", 0.99, 0.0, 1.0),), 0)
-    kept = pruned(Found(begun[2], alone, [[]], begun[1], [[]]), whole, lambda *_: None)
+    kept = pruned(Found(*begun, alone, [[]], [[]]), lambda *_: None)
     assert not kept.fitted.model.terms and not kept.stability and not kept.confounded_with
-    joint = pruned(Found(begun[2], alone, [], begun[1], [[]]), whole, lambda *_: None)
+    joint = pruned(Found(*begun, alone, [], [[]]), lambda *_: None)
     assert joint.fitted is alone and len(joint.stability) == 1, "what a calibrated start has stays together"

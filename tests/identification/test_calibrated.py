@@ -18,8 +18,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.identification import calibrated as module
 from frogkick.identification.calibrated import best_end_deviance, calibrated_starts, end_deviance, refitted
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, derivatives, rollouts_of
-from frogkick.identification.penalty import EFFECT_PENALTY
+from frogkick.identification.fit import EFFECT_PENALTY, Model, derivatives, rollouts_of
 from frogkick.identification.search import nominal_fit
 from frogkick.identification.segments import read_segments
 from frogkick.identification.terms import catalogue
@@ -52,17 +51,15 @@ def test_a_robot_measured_before_is_a_relative_of_its_own_body_alone() -> None:
 @from_ci
 def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
     swims = [make_swim([], seed, 14) for seed in (3, 4)]
-    _, rows, nominal = nominal_fit(swims, robot())
-    assert (
-        refitted(nominal, calibrated_starts(load_robot("frog2022"))["frog2022-measured"], swims, rows) is None
-    )
+    data, nominal = nominal_fit(swims, robot())
+    assert refitted(nominal, calibrated_starts(load_robot("frog2022"))["frog2022-measured"], data) is None
 
 
 @from_ci
 def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which effects and parameters a relative has is kept, but none of its values."""
     swims = [make_swim([], seed, 5) for seed in (3, 4)]
-    _, rows, nominal = nominal_fit(swims, robot())
+    data, nominal = nominal_fit(swims, robot())
     begun: list[tuple[list[float], frozenset[int], int]] = []
 
     def run(self: module.GaussNewton, _steps_max: int) -> Model:
@@ -75,7 +72,7 @@ def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pyt
     terms = calibrated_starts(load_robot("frog2022"))["frog2022-measured"]
     measured = [value for term in terms for value in term.values]
     plain = [p.nominal for term in terms for p in term.parameters]
-    refitted(nominal, terms, swims, rows, measured=False)
+    refitted(nominal, terms, data, measured=False)
     assert [values for values, *_ in begun] == [plain, plain]
     assert [periods for *_, periods in begun] == [4, 10] or begun[0][2] < begun[1][2]
     fixed = {k for k, pair in enumerate(zip(measured, plain, strict=True)) if pair[0] == pair[1]}
@@ -85,9 +82,9 @@ def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pyt
 def test_a_model_is_held_against_at_its_best_noise() -> None:
     """A noise that trusts a wrong model makes its ends worse than they need be."""
     swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 8)]
-    _, rows, nominal = nominal_fit(swims, robot())
+    data, nominal = nominal_fit(swims, robot())
     sure = replace(nominal.model, noise=Noise((5e-3, 5e-2), (2e-5, 5e-4), (2e-5, 5e-4)))
-    (fitted,) = derivatives([sure], swims, rows)
+    (fitted,) = derivatives([sure], data)
     assert best_end_deviance(fitted, swims) < end_deviance(fitted.rollouts, swims) - 5.0
     assert best_end_deviance(nominal, swims) <= end_deviance(nominal.rollouts, swims)
 
@@ -96,14 +93,14 @@ def test_a_model_is_held_against_at_its_best_noise() -> None:
 def test_a_relative_must_beat_nominal_at_its_best_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """An effect that does nothing, tried at better noises than the nominal model's, explains nothing."""
     swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 20)]
-    _, rows, nominal = nominal_fit(swims, robot())
+    data, nominal = nominal_fit(swims, robot())
     sure = replace(nominal.model, noise=Noise((5e-3, 5e-2), (2e-5, 5e-4), (2e-5, 5e-4)))
-    (fitted,) = derivatives([sure], swims, rows)
+    (fitted,) = derivatives([sure], data)
     idle = next(each for each in catalogue(robot()) if each.title == "steady_wrench")
     monkeypatch.setattr(module, "START_GAIN", -1e6)  # only what comes after the descent is asked
     monkeypatch.setattr(module.GaussNewton, "run", lambda descent, *_steps_max: descent.model)
     assert end_deviance(fitted.rollouts, swims) - best_end_deviance(fitted, swims) > EFFECT_PENALTY
-    assert refitted(fitted, [idle], swims, rows) is None
+    assert refitted(fitted, [idle], data) is None
 
 
 @given(st.integers(0, 10_000), st.integers(20, 120), st.floats(0.0, 0.4), st.floats(0.0, 3.0))
@@ -145,12 +142,12 @@ def test_effects_fitted_to_recorded_runs_predict_another_one(
     model, names = load_robot("frog2022"), ("line1", "sin3", "sin1")
     train = [read_segments(frog2022_dir / "control" / f"{name}.csv", model) for name in names]
     test = [read_segments(frog2022_dir / "control" / "ellipse5.csv", model)]
-    _, rows, nominal = nominal_fit(train, model)
+    data, nominal = nominal_fit(train, model)
     start = [
         term.at(GENERIC.get(term.title, term.values))
         for term in calibrated_starts(model)["frog2022-measured"]
     ]
-    fitted = refitted(nominal, start, train, rows)
+    fitted = refitted(nominal, start, data)
     assert fitted is not None
     after, before = (
         PredictionError.of(prediction_errors(rollouts, test))

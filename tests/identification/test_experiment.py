@@ -25,7 +25,7 @@ from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Fitted, Model, fit, residuals_of, rollouts_of
 from frogkick.identification.paired import ActionSequence, Side, extend, segments_of_sequence
 from frogkick.identification.search import Found
-from frogkick.identification.segments import Segments
+from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import whitener
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import Interval, intervals
@@ -144,8 +144,8 @@ def test_a_robot_s_way_is_the_one_of_the_pool() -> None:
 
 
 def found_of(fitted: Fitted, rivals: list[list[Term]]) -> Found:
-    rows = np.ones(len(fitted.residuals), dtype=bool)
-    return Found(fitted, fitted, [], rows, [[each.title for each in row] for row in rivals], [], rivals)
+    data = Data((), np.ones(len(fitted.residuals), dtype=bool))
+    return Found(data, fitted, fitted, [], [[each.title for each in row] for row in rivals], [], rivals)
 
 
 def interval(name: str, low: float, high: float) -> Interval:
@@ -193,8 +193,8 @@ def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPat
     swims = [make_swim(planted, seed, 0, "A" * 8) for seed in (31, 32)]
 
     def fitted_to(runs: list[Segments]) -> Fitted:
-        rows = np.ones(sum(len(swim.start_s) for swim in runs), dtype=bool)
-        return fit(model(term("limb_memory", 0.34, 2.7)), runs, rows, steps_max=3)
+        data = Data(runs, np.ones(sum(len(swim.start_s) for swim in runs), dtype=bool))
+        return fit(model(term("limb_memory", 0.34, 2.7)), data, steps_max=3)
 
     before = fitted_to(swims)
     ((_, fade),) = intervals(before)

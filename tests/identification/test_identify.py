@@ -21,7 +21,7 @@ from frogkick.identification.filter import Filter, Noise, Series, deviances, max
 from frogkick.identification.fit import Model, fit_many, rollouts_of
 from frogkick.identification.outcome import identify, too_little
 from frogkick.identification.search import nominal_fit, search
-from frogkick.identification.segments import Segments, replicate_count, segments_of
+from frogkick.identification.segments import Data, Segments, replicate_count, segments_of
 from frogkick.identification.steps import bounded_step
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import (
@@ -79,7 +79,7 @@ def test_likeliest_noise_is_the_one_that_made_the_series() -> None:
 
 
 def test_predictions_meet_the_truth(whole: list[Segments]) -> None:
-    _, _, fitted = nominal_fit(whole, robot())
+    _, fitted = nominal_fit(whole, robot())
     before = PredictionError.of(prediction_errors(fitted.rollouts, whole))
     fix = fix_noise(whole)
     assert fix is not None
@@ -124,27 +124,29 @@ def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Segments]) -> N
 @from_ci
 def test_planted_wear_is_found_among_others(worn: list[Segments]) -> None:
     rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
-    found = search(worn, robot(), rivals)
+    found = search(*nominal_fit(worn, robot()), rivals)
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear rear_left"]
-    left = discretisation_shift(found.fitted, worn, found.rows)
-    (fine,) = fit_many([replace(found.fitted.model, step_s=8e-4, leg_s=LEG_S)], worn, found.rows, 8)
+    left = discretisation_shift(found.fitted, found.data)
+    (fine,) = fit_many([replace(found.fitted.model, step_s=8e-4, leg_s=LEG_S)], found.data, 8)
     assert fine.model.values[0] - found.fitted.model.values[0] == pytest.approx(left[0], rel=0.4)
     assert 0.0 < np.abs(left).max() < 0.02
-    (row,) = intervals(found.fitted, found.rows, left)
+    (row,) = intervals(found.fitted, found.data, left)
     for each, true in zip(row, (0.7, 0.0, 1.0), strict=True):
         # One interval of 95 % in twenty misses: of these three, each is given twice its width.
         assert abs(true - each.value) <= each.high - each.low
     assert row[0].low <= 0.7 <= row[0].high
     assert row[0].high - row[0].low < 0.1
-    judged = scored(found, worn, worn, found.nominal.rollouts, found.fitted.rollouts)
+    judged = scored(found, worn, found.nominal.rollouts, found.fitted.rollouts)
     assert judged.after.position_rmse_m < 0.3 * judged.before.position_rmse_m
     assert judged.gain is not None and judged.gain.low > 1.0
     assert verdict_of(found, judged, judged) == FOUND
 
 
 def test_nothing_is_found_where_nothing_is_missing(whole: list[Segments]) -> None:
-    found = search(whole, robot(), [term("limb_wear rear_left"), term("drag_scale"), term("tag_offset")])
-    judged = scored(found, whole, whole, found.nominal.rollouts, found.fitted.rollouts)
+    found = search(
+        *nominal_fit(whole, robot()), [term("limb_wear rear_left"), term("drag_scale"), term("tag_offset")]
+    )
+    judged = scored(found, whole, found.nominal.rollouts, found.fitted.rollouts)
     assert not found.fitted.model.terms and judged.gain is None
     assert verdict_of(found, judged, judged) == NOTHING
 
@@ -164,10 +166,10 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
 def test_fit_needs_no_luck_with_its_start(worn: list[Segments]) -> None:
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
     (rollouts,) = rollouts_of([Model(robot(), (), noise)], worn)
-    rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)
+    data = Data(worn, np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1))
     starts = [term("limb_wear rear_left").at(values) for values in ((1.0, 0.0, 1.0), (0.5, 0.05, 1.3))]
     models = [Model(robot(), (start,), noise) for start in starts]
-    for fitted in fit_many(models, worn, rows, steps_max=8):
+    for fitted in fit_many(models, data, steps_max=8):
         assert fitted.model.values[0] == pytest.approx(0.7, abs=0.05)
 
 

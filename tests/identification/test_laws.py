@@ -15,20 +15,18 @@ from tests.conftest import count, from_ci, some
 from frogkick.effects import Law
 from frogkick.effects.registry import make_effects
 from frogkick.identification.choice import _law_of_no_strength
+from frogkick.identification.diagnostics import fix_innovations, missing_wrench, stroke_ratios
 from frogkick.identification.fit import derivatives, fit
-from frogkick.identification.held_out import bent_gain
 from frogkick.identification.law_kinds import kinds_of
-from frogkick.identification.laws import Laws
-from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
-from frogkick.identification.moments import centred, moment_intervals
+from frogkick.identification.laws import Laws, centred, moment_intervals
 from frogkick.identification.outcome import found_toml, identify
 from frogkick.identification.refine import Refiner
 from frogkick.identification.responses import responses_of
+from frogkick.identification.screening import bent_gain
 from frogkick.identification.search import (
     HELD_OUT_GAIN_MIN,
     Found,
     _ForwardSelection,
-    folds_of,
     nominal_fit,
 )
 from frogkick.identification.verdict import FOUND_LAW
@@ -154,8 +152,8 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
     seeds, periods = range(1, count(4, 4, 3)), count(PERIODS, PERIODS, 12)
     swims = [make_swim(planted(folder, table), seed, periods) for seed in seeds]
-    _, rows, nominal = nominal_fit(swims, robot())
-    laws = Laws(responses_of(nominal, swims, rows), swims, robot())
+    data, nominal = nominal_fit(swims, robot())
+    laws = Laws(responses_of(nominal, data), swims, robot())
     columns = laws.best(nominal)
     alike = {"patch": ("patch", "patch with an end")}.get(title, (title,))
     assert columns[0].term.title in alike, [column.term.title for column in columns[:4]]
@@ -183,13 +181,13 @@ def test_laws_are_moved_beside_each_other(
     leaves no local minimum, a new screening does, or the simulation of every moment."""
     broken = WORLDS[2][1]
     swims = [make_swim(planted(folder, WORLDS[0][1]) + planted(folder, broken), s, 20) for s in (1, 2)]
-    model, rows, nominal = nominal_fit(swims, robot())
-    laws = Laws(responses_of(nominal, swims, rows), swims, robot())
+    data, nominal = nominal_fit(swims, robot())
+    laws = Laws(responses_of(nominal, data), swims, robot())
     kinds = {kind.named: kind for kind in kinds_of(robot(), swims)}
     pulls, breaks = kinds["spring"].term(cable), kinds["stroke from a moment on rear_left"].term(moment)
-    refiner = Refiner(swims, rows, 1)
-    placed = refiner.refined(fit(replace(model, terms=(pulls, breaks)), swims, rows))
-    selection = _ForwardSelection(swims, rows, folds_of(swims, rows), [], 1, laws)
+    refiner = Refiner(data)
+    placed = refiner.refined(fit(replace(nominal.model, terms=(pulls, breaks)), data))
+    selection = _ForwardSelection(data, [], laws)
     told: list[str] = []
     moved = selection.relocated(placed, refiner, told.append)
     assert moved.deviance < placed.deviance - 100.0 and told[0].startswith("moving spring")
@@ -207,30 +205,30 @@ def test_laws_are_moved_beside_each_other(
 @from_ci
 def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
     swims = [make_swim(planted(folder, WORLDS[2][1]), seed, PERIODS) for seed in (1, 2)]
-    model, rows, _ = nominal_fit(swims, robot())
+    data, nominal = nominal_fit(swims, robot())
     kinds = {kind.named: kind for kind in kinds_of(robot(), swims)}
     limb = [each.name for each in robot().limbs].index("rear_left")
     own = sorted(at for swim in swims for at, number in swim.strokes if number == limb)
     low, high = max(at for at in own if at < 12.0), min(at for at in own if at > 12.0)
     term = kinds["stroke from a moment on rear_left"].term({"loss": 0.7, "at": low + 0.1 * (high - low)})
-    (fitted,) = derivatives([replace(model, terms=(term,))], swims, rows)
-    middle = centred(fitted, swims, rows)
+    (fitted,) = derivatives([replace(nominal.model, terms=(term,))], data)
+    middle = centred(fitted, data)
     assert middle.deviance == pytest.approx(fitted.deviance, abs=1e-6)
     assert middle.model.terms[0].values == pytest.approx((0.7, 0.5 * (low + high)))
-    first, last = moment_intervals(middle, swims, rows)[0]
+    first, last = moment_intervals(middle, data)[0]
     assert first <= low and last >= high
     with_high = [any(at == high for at, _ in swim.strokes) for swim in swims]
     parts = [(swim.end_s <= high) | (not last) for swim, last in zip(swims, with_high, strict=True)]
-    unseen = rows & np.concatenate(parts)  # as where a run ends with that stroke
-    (fitted,) = derivatives([replace(model, terms=(term,))], swims, unseen)
+    cut = replace(data, rows=data.rows & np.concatenate(parts))  # as where a run ends with that stroke
+    (fitted,) = derivatives([replace(nominal.model, terms=(term,))], cut)
     other = swims[with_high.index(False)].strokes
     after = min(at for at, number in other if number == limb and at > high)
-    _, moment = centred(fitted, swims, unseen).model.terms[0].values
+    _, moment = centred(fitted, cut).model.terms[0].values
     assert moment == pytest.approx(0.5 * (low + after))
     push = kinds["push from a moment on"].term({"at": 12.0})
-    (pushed,) = derivatives([replace(model, terms=(push,))], swims, rows)
-    assert centred(pushed, swims, rows) is pushed
-    assert moment_intervals(pushed, swims, rows) == {}
+    (pushed,) = derivatives([replace(nominal.model, terms=(push,))], data)
+    assert centred(pushed, data) is pushed
+    assert moment_intervals(pushed, data) == {}
 
 
 @from_ci
@@ -238,11 +236,11 @@ def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
 def test_what_bends_is_held_against_folds_by_simulation(folder: Path, taut: bool) -> None:
     """A cable a little off its place: derivatives across the bend say nothing of a fit without a fold."""
     swims = [make_swim(planted(folder, WORLDS[0][1]) if taut else [], seed, 14) for seed in (1, 2, 3, 4)]
-    model, rows, nominal = nominal_fit(swims, robot())
+    data, nominal = nominal_fit(swims, robot())
     kind = next(each for each in kinds_of(robot(), swims) if each.title == "spring")
     near = kind.term({"stiffness": 0.08 if taut else 0.001, "at_x": 0.13, "at_y": 0.17, "slack": 0.13})
-    (start,) = derivatives([replace(model, terms=(near,))], swims, rows)
-    fitted, (gain, error) = bent_gain(nominal, start, swims, rows, folds_of(swims, rows), 0)
+    (start,) = derivatives([replace(nominal.model, terms=(near,))], data)
+    fitted, (gain, error) = bent_gain(nominal, start, data)
     assert fitted.deviance <= start.deviance and error > 0.0
     assert (gain > max(HELD_OUT_GAIN_MIN, error)) == taut
 
@@ -250,14 +248,16 @@ def test_what_bends_is_held_against_folds_by_simulation(folder: Path, taut: bool
 @from_ci
 def test_a_law_that_may_have_no_strength_is_left_out(folder: Path) -> None:
     swims = [make_swim(planted(folder, WORLDS[1][1]), seed, 16) for seed in (1, 2)]
-    model, rows, nominal = nominal_fit(swims, robot())
+    data, nominal = nominal_fit(swims, robot())
     kinds = {kind.named: kind for kind in kinds_of(robot(), swims)}
     sloshing = kinds["sloshing"].term(dict.fromkeys(kinds["sloshing"].strengths, 0.005) | {"cycle": 7.3})
     compass = kinds["compass"].term({"east": 0.0, "north": 0.0})
     places = []
     for terms in ((sloshing, compass), (compass, sloshing), (sloshing,)):
-        fitted = fit(replace(model, terms=terms), swims, rows)
-        found = Found(nominal, derivatives([fitted.model], swims, rows)[0], [], rows, [[] for _ in terms])
+        fitted = fit(replace(nominal.model, terms=terms), data)
+        found = Found(
+            data, nominal, derivatives([fitted.model], data)[0], confounded_with=[[] for _ in terms]
+        )
         places.append(_law_of_no_strength(found))
     assert places == [1, 0, None]
 
@@ -269,8 +269,8 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
     from frogkick.identification.terms import catalogue
 
     swims = [make_swim([], seed, 12) for seed in (1, 2)]
-    model, rows, nominal = nominal_fit(swims, robot())
-    responses = responses_of(nominal, swims, rows)
+    data, nominal = nominal_fit(swims, robot())
+    responses = responses_of(nominal, data)
     terms = {term.title: term for term in catalogue(robot())}
     push = terms["steady_wrench"].at([1e-3, 0.0, 0.0])
     late = terms["fix_latency"].at([0.05])
@@ -289,8 +289,8 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
         (broken, told_by({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.35)),
         (late, told_by({"on": "fix", "delay_s": "size"}, "s", 0.05)),
     ):
-        moved = Model(robot(), (term,), model.noise)
-        true = residuals_of(rollouts_of([moved], swims)[0], rows) - nominal.residuals
+        moved = Model(robot(), (term,), nominal.model.noise)
+        true = residuals_of(rollouts_of([moved], swims)[0], data.rows) - nominal.residuals
         assert np.linalg.norm(told - true) < 0.25 * np.linalg.norm(true), term.title
 
 
@@ -338,16 +338,16 @@ def test_the_missing_wrench_is_read_from_residuals() -> None:
     numbers = {"push": {"value": 1.5e-3, "unit": "N"}, "rate": {"value": 0.7, "unit": "1/s"}}
     law = {"name": "law", "on": "wrench", "x_n": "push * sin(rate * time_s)", "parameters": numbers}
     swims = [make_swim([law], seed, 14) for seed in (1, 2)]
-    _, rows, nominal = nominal_fit(swims, robot())
-    responses = responses_of(nominal, swims, rows)
-    found = missing_wrench(nominal, responses, swims, rows)
+    data, nominal = nominal_fit(swims, robot())
+    responses = responses_of(nominal, data)
+    found = missing_wrench(nominal, responses, data)
     told = found.as_json([swim.name for swim in swims])
     true = 1.5e-3 * np.sin(0.7 * found.time_s)
     assert np.corrcoef(told["x_n"], true)[0, 1] > 0.9
     assert np.sqrt(np.mean(np.square(np.array(told["x_n"]) - true))) < 6e-4
     assert np.abs(told["y_n"]).mean() < 4e-4 and len(told["covariance"][0]) == 9
     assert (np.linalg.eigvalsh(found.covariance) > -1e-12).all()
-    strokes = stroke_ratios(nominal, responses, swims, rows, [limb.name for limb in robot().limbs])
+    strokes = stroke_ratios(nominal, responses, data, [limb.name for limb in robot().limbs])
     ratios = np.array([each["log_ratio"] for each in strokes])
     assert len(ratios) == sum(len(swim.strokes) for swim in swims) and np.median(ratios) > 3.0
     fixes = fix_innovations(nominal, swims)

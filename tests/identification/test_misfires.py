@@ -44,15 +44,15 @@ def test_a_mixture_knows_how_often_and_when() -> None:
 @pytest.mark.parametrize(("limb", "chance"), some([("front_left", 0.3), ("rear_right", 0.2)], 1))
 def test_the_limb_that_misfires_is_named(limb: str, chance: float) -> None:
     swims = [make_swim(misfire(limb, chance), seed, count(24, 36)) for seed in (1, 2, 3)]
-    _, rows, nominal = nominal_fit(swims, robot())
-    found = misfires_of(nominal, swims, rows)
+    data, nominal = nominal_fit(swims, robot())
+    found = misfires_of(nominal, data)
     assert found is not None and found.limbs == (limb,)
     _, low, high = found.chance[0]
     assert low - 0.05 < chance < high + 0.05 and found.stability[0] > 0.9
     fewer = without_failed(swims, found)
     gone = sum(len(swim.strokes) for swim in swims) - sum(len(swim.strokes) for swim in fewer)
     assert gone == sum(share > 0.5 for *_, share in found.failed[0])
-    _, _, clean = nominal_fit(fewer, robot())
+    _, clean = nominal_fit(fewer, robot())
     ends, before = (np.sqrt((each.residuals[:, -3:-1] ** 2).sum(axis=1).mean()) for each in (clean, nominal))
     assert ends < 0.4 * before
 
@@ -62,8 +62,8 @@ def test_no_limb_misfires_where_none_does() -> None:
     worn = [{"name": "limb_wear", "limb": "rear_left", "gain": 0.7}]
     for effects in ([], worn):
         swims = [make_swim(effects, seed, 18) for seed in (1, 2, 3)]
-        _, rows, nominal = nominal_fit(swims, robot())
-        found = misfires_of(nominal, swims, rows)
+        data, nominal = nominal_fit(swims, robot())
+        found = misfires_of(nominal, data)
         assert found is None or (effects and found.chance[0][0] > 0.4)
 
 
@@ -75,8 +75,8 @@ def test_one_stroke_that_fails_is_an_accident() -> None:
         make_swim([{"name": "law", **once}], 1, count(24, 36)),
         *(make_swim([], seed, count(24, 36)) for seed in (2, 3)),
     ]
-    _, rows, nominal = nominal_fit(swims, robot())
-    assert misfires_of(nominal, swims, rows) is None
+    data, nominal = nominal_fit(swims, robot())
+    assert misfires_of(nominal, data) is None
 
 
 @from_ci
@@ -85,9 +85,9 @@ def test_a_limb_that_breaks_does_not_misfire() -> None:
     table = {"name": "law", "on": "stroke", "limb": "front_left", "gain": "time_s < at", "parameters": at}
     for effects, right in (([table], True), (misfire("front_left", 0.3), False)):
         swims = [make_swim(effects, seed, count(20, 30)) for seed in (1, 2, 3)]
-        _, rows, nominal = nominal_fit(swims, robot())
-        responses = responses_of(nominal, swims, rows)
-        found = misfires_of(nominal, swims, rows, responses.idle)
+        data, nominal = nominal_fit(swims, robot())
+        responses = responses_of(nominal, data)
+        found = misfires_of(nominal, data, responses.idle)
         assert found is None or found.patterned(responses.fired) == right
 
 

@@ -7,8 +7,8 @@ from made import make_swim, robot, term
 
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, difference_steps, residuals_of, rollouts_of
-from frogkick.identification.probe import LinearSpan, changes, probes_of
-from frogkick.identification.screening import sensitivities
+from frogkick.identification.screening import LinearSpan, changes, probes_of, sensitivities
+from frogkick.identification.segments import Data
 from frogkick.identification.steps import linearised_optimum
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
@@ -45,14 +45,14 @@ def test_limbs_add_up_to_their_group_and_delays_do_not() -> None:
 
 
 def test_a_sum_is_what_its_own_simulation_gives() -> None:
-    swims, rows = [make_swim([], 9, 6)], np.ones(6, dtype=bool)
+    data = Data([make_swim([], 9, 6)], np.ones(6, dtype=bool))
     names = [f"limb_wear {limb.name}" for limb in robot().limbs]
     terms = [term(name) for name in (*names, "group_gain rear")]
-    columns = sensitivities(Model(robot(), (), NOISE), terms, swims, rows, lambda _done, _whole: None)
+    columns = sensitivities(Model(robot(), (), NOISE), terms, data, lambda _done, _whole: None)
     (rear,) = [column for column in columns if column.term.title == "group_gain rear"]
     bare = Model(robot(), (), NOISE)
     moved = Model(robot(), (term("group_gain rear").at((1.02, 1.0)),), NOISE)
-    base, there = (residuals_of(rollouts, rows) for rollouts in rollouts_of([bare, moved], swims))
+    base, there = (residuals_of(rollouts, data.rows) for rollouts in rollouts_of([bare, moved], data.swims))
     own = (there - base) / 0.02
     assert np.linalg.norm(rear.jacobian[:, :, 0] - own) < 0.1 * np.linalg.norm(own)
 

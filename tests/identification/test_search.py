@@ -16,6 +16,7 @@ from frogkick.identification import choice
 from frogkick.identification.backward import resolve_equivalent
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
+    Fitted,
     Model,
     derivatives,
     fit_many,
@@ -24,16 +25,15 @@ from frogkick.identification.fit import (
     residuals_of,
     rollouts_of,
 )
-from frogkick.identification.held_out import held_out_gain
 from frogkick.identification.refine import Refiner
+from frogkick.identification.screening import held_out_gain
 from frogkick.identification.search import (
     Found,
     _ForwardSelection,
-    folds_of,
     nominal_fit,
     search,
 )
-from frogkick.identification.segments import Segments
+from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import _shrunk, deviance_of, linearised_optimum, log_density, scale_of
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Scored, intervals
 
@@ -49,7 +49,7 @@ def worn() -> list[Segments]:
 def refiner(swims: list[Segments]) -> Refiner:
     (rollouts,) = rollouts_of([Model(robot(), (), NOISE)], swims)
     rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)
-    return Refiner(swims, rows, 1)
+    return Refiner(Data(swims, rows))
 
 
 @from_ci
@@ -82,11 +82,11 @@ def test_a_step_explains_what_few_periods_show() -> None:
 
 def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
     model = Model(robot(), (term("limb_wear rear_left"),), NOISE, fixed=frozenset({1, 2}))
-    rows = refiner(worn).rows
-    (fitted,) = fit_many([model], worn, rows, 4)
+    data = refiner(worn).data
+    (fitted,) = fit_many([model], data, 4)
     assert fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
     assert not fitted.jacobian[:, :, 1:].any()
-    (whole,) = derivatives([fitted.model], worn, rows)
+    (whole,) = derivatives([fitted.model], data)
     assert whole.jacobian.any(axis=(0, 1)).all()
 
 
@@ -94,15 +94,15 @@ def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
 def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> None:
     """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
     model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, fixed=frozenset({1, 2}))
-    rows = refiner(worn).rows
-    (right,) = derivatives([model], worn, rows, fixed=False)
+    data = refiner(worn).data
+    (right,) = derivatives([model], data, fixed=False)
     stale = replace(right, jacobian=right.jacobian / 3.0, fresh=False)
-    (fitted,) = fit_on([stale], worn, rows, 6)
-    (straight,) = fit_on([right], worn, rows, 6)
+    (fitted,) = fit_on([stale], data, 6)
+    (straight,) = fit_on([right], data, 6)
     assert fitted.model.values[0] == pytest.approx(straight.model.values[0], abs=2e-3)
     assert abs(fitted.deviance - straight.deviance) < 0.5
-    (whole,) = refresh_jacobian([fitted], worn, rows)
-    (exact,) = derivatives([fitted.model], worn, rows)
+    (whole,) = refresh_jacobian([fitted], data)
+    (exact,) = derivatives([fitted.model], data)
     assert np.array_equal(whole.residuals, exact.residuals)
     assert whole.fresh and np.allclose(whole.jacobian[:, :, 1:], exact.jacobian[:, :, 1:], rtol=0.0)
 
@@ -112,19 +112,19 @@ def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Segments]) -> None
     """Frames swing at 40 Hz: half a swing late fits as well as derivatives can tell."""
     searching = refiner(worn)
     dip = Model(robot(), (term("limb_wear rear_left").at((0.71, 0.0125, 1.0)),), NOISE, fixed=frozenset({2}))
-    (taken,) = fit_many([dip], worn, searching.rows, 1)
+    (taken,) = fit_many([dip], searching.data, 1)
     refined = searching.refined(taken)
     assert refined.model.values[1] == 0.0
-    (row,) = intervals(refined, searching.rows)
+    (row,) = intervals(refined, searching.data)
     assert row[0].low <= 0.7 <= row[0].high and row[0].high - row[0].low < 0.05
 
 
 def test_a_late_limb_is_found_with_its_delay() -> None:
     late = {"name": "limb_wear", "limb": "front_left", "delay_s": 0.12}
     swims = [make_swim([late], seed, 14) for seed in (31, 32)]
-    found = search(swims, robot(), [term("limb_wear front_left"), term("fix_latency")])
+    found = search(*nominal_fit(swims, robot()), [term("limb_wear front_left"), term("fix_latency")])
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear front_left"]
-    (row,) = intervals(found.fitted, found.rows)
+    (row,) = intervals(found.fitted, found.data)
     for each, true in zip(row, (1.0, 0.12, 1.0), strict=True):
         assert abs(true - each.value) <= each.high - each.low, each
     assert row[1].low <= 0.12 <= row[1].high and row[1].high - row[1].low < count(30, 30, 40) * 1e-3
@@ -140,7 +140,7 @@ def test_effects_that_do_the_same_are_named_together() -> None:
     ]
     rivals = [term("group_loss"), term("group_gain rear")]
     said = list[str]()
-    found = search(swims, robot(), rivals, lambda *stage: said.extend(stage[3:]))
+    found = search(*nominal_fit(swims, robot()), rivals, lambda *stage: said.extend(stage[3:]))
     assert said[0] in ("trying group_gain rear, group_loss", "trying group_loss, group_gain rear")
     assert said[1].removeprefix("refining ") in ("group_gain rear", "group_loss")
     named = [found.fitted.model.terms[0].title, *found.confounded_with[0]]
@@ -177,12 +177,12 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
         return lambda *_args, **_more: name
 
     monkeypatch.setattr(choice, "calibrated_starts", lambda _robot: {"measured": ()})
-    monkeypatch.setattr(choice, "nominal_fit", lambda *_args: (None, rows, None))
+    monkeypatch.setattr(choice, "nominal_fit", lambda *_args: (Data((), rows), None))
     monkeypatch.setattr(choice, "search", named("search"))
     monkeypatch.setattr(choice, "_search_in_part", named("part"))
     monkeypatch.setattr(choice, "_relative", named("relative"))
-    monkeypatch.setattr(choice, "_verdict", lambda found, _swims: verdicts[found])
-    monkeypatch.setattr(choice, "_scored", lambda _found, _swims: Scored(off, near, near))
+    monkeypatch.setattr(choice, "_verdict", lambda found: verdicts[found])
+    monkeypatch.setattr(choice, "_scored", lambda _found: Scored(off, near, near))
     given: Any = choice.found_in([], robot(), [], lambda *_args: None)
     assert given == taken
 
@@ -192,16 +192,17 @@ def test_a_search_in_part_is_fitted_to_all_runs(
     worn: list[Segments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(choice, "PART", 20)
-    begun = nominal_fit(worn, robot())
+    data, nominal = nominal_fit(worn, robot())
+    begun = Found(data, nominal, nominal)
     seen: list[int] = []
 
-    def searched(swims: list[Segments], *_args: Any, most: int) -> Found:
-        seen.extend(len(swim.start_s) for swim in swims)
-        return search(swims, robot(), [term("limb_wear rear_left")], most=most)
+    def searched(data: Data, nominal: Fitted, *_args: Any, most: int) -> Found:
+        seen.extend(len(swim.start_s) for swim in data.swims)
+        return search(data, nominal, [term("limb_wear rear_left")], most=most)
 
     monkeypatch.setattr(choice, "search", searched)
-    found = choice._search_in_part(begun, worn, robot(), [], lambda *_args: None)
-    assert seen == [10, 10] and len(found.fitted.residuals) == len(begun[1]) == 28
+    found = choice._search_in_part(begun, robot(), [], lambda *_args: None)
+    assert seen == [10, 10] and len(found.fitted.residuals) == len(data.rows) == 28
     assert found.fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
 
 
@@ -212,17 +213,17 @@ def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Seg
 
     By the right effect and by a wrong one: a search that flattered itself would do so with it.
     """
-    rows = refiner(worn).rows
-    folds = folds_of(worn, rows)
+    data = refiner(worn).data
+    folds = data.folds
     start = Model(robot(), (term(title),), NOISE)
-    (current,) = derivatives([replace(start, terms=())], worn, rows)
-    (fitted,) = fit_many([start], worn, rows, 4)
-    shown = held_out_gain(current, fitted, folds, 0)[0]
-    places, falls = np.flatnonzero(rows), []
+    (current,) = derivatives([replace(start, terms=())], data)
+    (fitted,) = fit_many([start], data, 4)
+    shown = held_out_gain(current, fitted, folds)[0]
+    places, falls = np.flatnonzero(data.rows), []
     for label in np.unique(folds):
-        seen, left = np.zeros_like(rows), np.zeros_like(rows)
+        seen, left = np.zeros_like(data.rows), np.zeros_like(data.rows)
         seen[places[folds != label]], left[places[folds == label]] = True, True
-        (alone,) = fit_many([start], worn, seen, 4)
+        (alone,) = fit_many([start], Data(worn, seen), 4)
         (kept,) = rollouts_of([alone.model], worn)
         scores = []
         for rollouts in (current.rollouts, kept):
@@ -247,9 +248,9 @@ def test_a_rival_is_not_judged_in_a_dip() -> None:
     late = (limb.at((0.882, 0.003, 1.0)), every.at((1.0, 0.0625, 1.0)))
     dip = (limb.at((0.8817, 0.0457, 1.0)), fixes.at((0.0562,)))
     fixed = frozenset({2, 3, 5})
-    (taken,) = fit_many([Model(robot(), late, NOISE, fixed=fixed)], swims, begun.rows, 6)
-    (rival,) = derivatives([Model(robot(), dip, NOISE, fixed=frozenset({2}))], swims, begun.rows)
-    selection = _ForwardSelection(swims, begun.rows, folds_of(swims, begun.rows), [], 1)
+    (taken,) = fit_many([Model(robot(), late, NOISE, fixed=fixed)], begun.data, 6)
+    (rival,) = derivatives([Model(robot(), dip, NOISE, fixed=frozenset({2}))], begun.data)
+    selection = _ForwardSelection(begun.data, [])
     settled, alike = selection.simplest_of(begun.noise_reestimated(taken), [rival])
     assert [each.title for each in settled.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [each.title for each in alike] == ["limb_wear all"]
@@ -277,8 +278,8 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
     dip = (term("limb_wear front_left").at((0.76, 0.06, 1.0)), term("fix_latency").at((0.083,)))
     quiet = Noise(NOISE.fix, (8e-6, 2e-4), (8e-6, 2e-4))
     # Whether a fit stops in a dip hangs on last digits, so the delay is held there while the others settle.
-    (settled,) = fit_many([Model(robot(), dip, quiet, fixed=frozenset({1, 2}))], swims, begun.rows, 6)
-    (taken,) = derivatives([replace(settled.model, fixed=frozenset({2}))], swims, begun.rows)
+    (settled,) = fit_many([Model(robot(), dip, quiet, fixed=frozenset({1, 2}))], begun.data, 6)
+    (taken,) = derivatives([replace(settled.model, fixed=frozenset({2}))], begun.data)
     steep = replace(taken, jacobian=taken.jacobian * np.array([1.0, 8.0, 1.0, 1.0]))
     spared = begun.pruned(steep)
     assert spared.model.values[1] == 0.0 and spared.deviance < taken.deviance
@@ -291,6 +292,6 @@ def test_limbs_that_are_late_and_weak_are_no_late_fixes() -> None:
     every, fixes = term("limb_wear all"), term("fix_latency")
     begun = refiner(swims)
     model = Model(robot(), (every.at((0.8, 0.06, 1.0)),), NOISE, fixed=frozenset({2}))
-    (taken,) = fit_many([model], swims, begun.rows, 6)
+    (taken,) = fit_many([model], begun.data, 6)
     named, alike = resolve_equivalent(begun, taken, [[]], [every, fixes])
     assert named is taken and alike == [[]]

@@ -74,8 +74,8 @@ def test_what_strokes_do_differently_is_no_noise_of_the_fixes(whole: list[Segmen
     table = {"file": str(tmp_path / "mine.py"), "class": "Misfire", "limb": "front_left", "share": 0.4}
     judged = []
     for swims in (whole, [make_swim([table], seed, 14) for seed in (3, 4)]):
-        _, rows, fitted = nominal_fit(swims, robot())
-        both = scored(Found(fitted, fitted, [], rows, []), swims, swims, fitted.rollouts, fitted.rollouts)
+        data, fitted = nominal_fit(swims, robot())
+        both = scored(Found(data, fitted, fitted), swims, fitted.rollouts, fitted.rollouts)
         judged.append(both)
     alike, apart = judged
     assert apart.noise_floor.position_rmse_m == pytest.approx(alike.noise_floor.position_rmse_m, rel=0.15)

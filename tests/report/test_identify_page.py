@@ -49,7 +49,7 @@ def outcome() -> Outcome:
     assert known.found is not None
     plain = next(each for each in catalogue(robot()) if each.title == TITLE)
     at_start = replace(known.found.nominal.model, terms=(plain,))
-    (started,) = derivatives([at_start], train, known.found.rows)
+    (started,) = derivatives([at_start], known.found.data)
     columns = [Column(plain, started.jacobian)]
     found = replace(
         known.found, iterations=TURNS, confounded_with=[["group_gain rear"]], sensitivities=columns

@@ -70,9 +70,9 @@ def outcome_with(term: Term) -> Outcome:
     known = known_outcome(train, test, "limb_wear rear_left", (0.9, 0.0, 1.0))
     assert known.found is not None
     model = replace(known.found.fitted.model, terms=(term,), fixed=frozenset())
-    (fitted,) = derivatives([model], train, known.found.rows)
+    (fitted,) = derivatives([model], known.found.data)
     found = replace(known.found, fitted=fitted)
-    rows = intervals(fitted, found.rows)
+    rows = intervals(fitted, found.data)
     return replace(
         known, verdict=FOUND_LAW, found=found, rollouts=rollouts_of([model], test)[0], parameters=rows
     )

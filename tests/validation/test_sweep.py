@@ -18,7 +18,6 @@ from frogkick.der import Gait, prepare
 from frogkick.report.sweep_page import write_sweep_report
 from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, cost_of_transport, swim_chunks, swim_gaits
-from frogkick.validation.paper_winners import paper_verdicts
 from frogkick.validation.sweep import (
     Design,
     Plan,
@@ -26,6 +25,7 @@ from frogkick.validation.sweep import (
     Sweep,
     by_cost,
     by_speed,
+    paper_verdicts,
     plan_sweep,
     rank_designs,
     rank_gaits,

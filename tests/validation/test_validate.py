@@ -19,13 +19,14 @@ from frogkick.der import Gait
 from frogkick.robot import load_robot
 from frogkick.validation import matched
 from frogkick.validation.measured import Case, SteadySpeed
-from frogkick.validation.noise import noise_of, second_differences
 from frogkick.validation.validate import (
     ExperimentResult,
     Requirement,
     authors_rmse_mps,
     by_group,
+    noise_of,
     requirements,
+    second_differences,
     single_groups_above,
     speed_rmse_mps,
     validate,

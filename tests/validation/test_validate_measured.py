@@ -13,7 +13,6 @@ from frogkick.core.errors import InputError
 from frogkick.der import Gait
 from frogkick.robot import load_robot
 from frogkick.validation.measured import (
-    Swim,
     find_cases,
     read_profiles,
     read_simulation,
@@ -77,18 +76,18 @@ def test_a_folder_without_cases_is_refused(tmp_path: Path) -> None:
 def test_steady_speed_is_the_line_s_slope_with_the_scatter_of_cycles(tmp_path: Path) -> None:
     file = tmp_path / "0.5Hz.mat"
     write_swim(file, 0.03, 0.5, cycles=4.1)
-    steady = steady_speed(read_swim(file), 0.5)
+    steady = steady_speed(*read_swim(file), 0.5)
     assert steady.speed_mps == pytest.approx(0.03, rel=1e-9)
     assert steady.cycles == 4 and steady.sd_mps == pytest.approx(0.0, abs=1e-9)
     write_swim(file, 0.03, 0.5, cycles=1.5)
-    assert steady_speed(read_swim(file), 0.5).sd_mps is None
+    assert steady_speed(*read_swim(file), 0.5).sd_mps is None
 
 
 def test_the_scatter_of_cycles_is_that_of_their_mean() -> None:
     """Cycles at 20, 40, 20, 40 mm/s: standard deviation 11.5, of the mean of four half of that."""
     time_s = np.arange(0.0, 4.0 + 1e-9, 0.01)
     distance_m = np.interp(time_s, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 0.02, 0.06, 0.08, 0.12])
-    assert steady_speed(Swim(time_s, distance_m), 1.0).sd_mps == pytest.approx(0.005774, abs=1e-6)
+    assert steady_speed(time_s, distance_m, 1.0).sd_mps == pytest.approx(0.005774, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +148,7 @@ def test_the_tabulated_speeds_are_the_slopes_of_the_swims(frog2022_dir: Path) ->
     for case in cases:
         rows = [speed for gait, speed in tabulated if gait == case.gait]
         if case.group.startswith("experiments") and rows:
-            speed = steady_speed(read_swim(case.file), case.gait.frequency_hz).speed_mps
+            speed = steady_speed(*read_swim(case.file), case.gait.frequency_hz).speed_mps
             assert min(abs(speed - row) for row in rows) < 2e-7, case.name
             found += 1
     assert found >= 30

@@ -17,15 +17,16 @@ from frogkick.core.progress import Progress, shown
 from frogkick.front.html import page_of
 from frogkick.robot import Robot, load_robot
 from frogkick.validation.matched import Matched, matched_without
-from frogkick.validation.noise import Noise, noise_of
-from frogkick.validation.paper_winners import PAPER_PHASE, Verdict, paper_verdicts
 from frogkick.validation.sweep import (
+    PAPER_PHASE,
     PHASE_TIE_MPS,
     Point,
     Sweep,
+    Verdict,
     by_cost,
     by_speed,
     energy_model,
+    paper_verdicts,
     plan_sweep,
     point_row,
     rank_designs,
@@ -34,10 +35,12 @@ from frogkick.validation.sweep import (
 )
 from frogkick.validation.validate import (
     ExperimentResult,
+    Noise,
     Requirement,
     SimulationResult,
     Validation,
     authors_rmse_mps,
+    noise_of,
     requirements,
     single_groups_above,
     speed_rmse_mps,

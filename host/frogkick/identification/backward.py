@@ -13,25 +13,33 @@ from itertools import combinations
 
 import numpy as np
 
-from frogkick.core.arrays import Bool, Float64, Int64
+from frogkick.core.arrays import Float64
 from frogkick.identification.bootstrap import drawn_periods, mean_interval
-from frogkick.identification.fit import Fitted, Model, evaluate, fit_many, fit_on, step_bounds
-from frogkick.identification.penalty import (
+from frogkick.identification.fit import (
     CONFOUNDED_MARGIN,
     EFFECT_PENALTY,
-    EQUIVALENT,
-    EQUIVALENT_MARGIN,
     PARAMETER_PENALTY,
-    free_count,
-    penalised_deviance,
+    Fitted,
+    Model,
+    evaluate,
+    fit_many,
+    fit_on,
+    step_bounds,
 )
-from frogkick.identification.refine import STEPS_MAX, Refiner, fine_leg_s
-from frogkick.identification.segments import Segments, replicate_count
+from frogkick.identification.refine import STEPS_MAX, Refiner
+from frogkick.identification.segments import Data
 from frogkick.identification.steps import cross_fitted, linearised_optimum
 from frogkick.identification.terms import Term
 
 DRAWS = 50
 """Resamples of the runs' periods for the stability selection."""
+
+EQUIVALENT = ("limb_wear all", "fix_latency")
+"""All limbs late and all fixes late give the same run, but for its first stroke. The second is simpler."""
+
+EQUIVALENT_MARGIN = 4.0 * CONFOUNDED_MARGIN
+"""Those two may differ by more: by 22 in world 20010 of ``study verdicts``, under the noise of one of
+them."""
 
 FAR_OFF = 300.0
 """A term is not superfluous if the deviance rises by more than this without it, before a refit."""
@@ -49,7 +57,7 @@ def revise(
     Where more than two terms remain, two of the best single effects replace them if they do as well.
 
     Args:
-        refiner: refines models of the runs.
+        refiner: of the runs.
         current: result of the forward selection.
         confounded: for each term those that were confounded with it when it was taken.
         runners_up: for each term the models that were nearly as good then, with the one that was taken.
@@ -83,22 +91,14 @@ def _pair(
     for one, other in combinations((each.model for each in single_effect_fits), 2):
         fixed = one.fixed | {len(one.values) + k for k in other.fixed}
         both = replace(model, terms=(*one.terms, *other.terms), fixed=frozenset(fixed))
-        both = replace(both, leg_s=fine_leg_s(both))
+        both = replace(both, leg_s=both.fine_leg_s)
         # Alone, the delay of a worn limb takes up the influence of the other effect.
         starts += [both] if (plain := _with_grid_at_nominal(both)) is both else [both, plain]
-    fits = fit_many(starts, refiner.swims, refiner.rows, STEPS_MAX) if starts else []
-    bound = (
-        min((penalised_deviance(each) for each in fits), default=0.0)
-        + CONFOUNDED_MARGIN * refiner.replicate_count
-    )  # all of one noise
-    equal = [
-        each
-        for each in fits
-        if penalised_deviance(each) < bound and each.deviance < current.deviance + FAR_OFF
-    ]
-    if not equal:
+    fits = fit_many(starts, refiner.data, STEPS_MAX) if starts else []
+    good = [each for each in equally_good(fits, refiner.data) if each.deviance < current.deviance + FAR_OFF]
+    if not good:
         return None
-    first, *rest = sorted(equal, key=lambda each: (len(each.model.values), penalised_deviance(each)))
+    first, *rest = good
     best = refiner.refined(first)
     if _total_penalised_deviance(refiner, best) >= _total_penalised_deviance(refiner, current):
         return None
@@ -116,24 +116,30 @@ def _pair(
     ]
 
 
+def equally_good(fits: Sequence[Fitted], data: Data, margin: float = CONFOUNDED_MARGIN) -> list[Fitted]:
+    """Those of several fits at one noise that are confounded with the best one, the simplest first."""
+    bound = min((each.penalised_deviance for each in fits), default=0.0) + margin * data.replicate_count
+    equal = [each for each in fits if each.penalised_deviance < bound]
+    return sorted(equal, key=lambda each: (len(each.model.values), each.penalised_deviance))
+
+
 def _with_grid_at_nominal(model: Model) -> Model:
     """The model with all grid parameters fixed at nominal, where their terms have other free ones."""
-    values, back, first = model.values, set[int](), 0
-    for term in model.terms:
-        free = {first + k for k in range(len(term.values))} - model.fixed
-        tried = {first + k for k, parameter in enumerate(term.parameters) if parameter.grid} & free
+    values, back = model.values, set[int]()
+    for place in range(len(model.terms)):
+        free = set(model.indices(place)) - model.fixed
+        tried = {k for k in free if model.parameters[k].grid}
         if tried < free:
             back |= tried
             for k in tried:
-                values[k] = term.parameters[k - first].nominal
-        first += len(term.values)
+                values[k] = model.parameters[k].nominal
     return replace(model.with_values(values), fixed=model.fixed | back) if back else model
 
 
 def _total_penalised_deviance(refiner: Refiner, fitted: Fitted) -> float:
     """Deviance plus the penalties of effects and free parameters."""
     effects = EFFECT_PENALTY * len(fitted.model.terms)
-    return fitted.deviance + refiner.replicate_count * (effects + PARAMETER_PENALTY * free_count(fitted))
+    return fitted.deviance + refiner.data.replicate_count * (effects + PARAMETER_PENALTY * fitted.free_count)
 
 
 def resolve_equivalent(
@@ -141,14 +147,7 @@ def resolve_equivalent(
 ) -> tuple[Fitted, list[list[Term]]]:
     """The model with the simpler of two equivalent effects (EQUIVALENT), where it has either.
 
-    Args:
-        refiner: refines models of the runs.
-        current: result of the forward selection.
-        confounded: for each term those confounded with it.
-        candidates: the catalogue.
-
-    Returns:
-        The model, and what is confounded with each term, the other of the two included.
+    Also what is confounded with each term, the other of the two included. ``candidates`` is the catalogue.
     """
     known, found = {term.title: term for term in candidates}, [list(others) for others in confounded]
     for place, term in enumerate(current.model.terms):
@@ -168,36 +167,14 @@ def swap_step(
     refiner: Refiner, current: Fitted, place: int, rivals: Sequence[Term], margin: float = CONFOUNDED_MARGIN
 ) -> tuple[Fitted, list[Term]]:
     """Swap step: the best of some terms in one place, and those that are confounded with it."""
-    title = current.model.terms[place].title
-    others = {term.title: term for term in rivals}
-    others.pop(title, None)
-    for term in current.model.terms:
-        others.pop(term.title, None)
+    taken = {term.title for term in current.model.terms}
+    others = {term.title: term for term in rivals if term.title not in taken}
     if not others:
         return current, []
-    starts = [with_term_at(current.model, place, term) for term in others.values()]
-    fits = fit_many(starts, refiner.swims, refiner.rows, STEPS_MAX)
-    every = [current, *fits]  # of one noise
-    bound = min(penalised_deviance(each) for each in every) + margin * refiner.replicate_count
-    equal = [each for each in every if penalised_deviance(each) < bound]
-    first, *rest = sorted(equal, key=lambda each: (len(each.model.values), penalised_deviance(each)))
+    starts = [current.model.with_term_at(place, term) for term in others.values()]
+    fits = fit_many(starts, refiner.data, STEPS_MAX)
+    first, *rest = equally_good([current, *fits], refiner.data, margin)
     return (first if first is current else refiner.refined(first), [each.model.terms[place] for each in rest])
-
-
-def with_term_at(model: Model, place: int, term: Term) -> Model:
-    """Put a term in a place (-1: the last); its parameters are free unless they are nominal."""
-    place %= len(model.terms)
-    left, fixed = _terms_without(model, place)
-    first = sum(len(each.values) for each in left[:place])
-    count = len(term.values)
-    there = frozenset(
-        first + k
-        for k, (value, parameter) in enumerate(zip(term.values, term.parameters, strict=True))
-        if value == parameter.nominal
-    )
-    moved = frozenset(k if k < first else k + count for k in fixed)
-    changed = replace(model, terms=(*left[:place], term, *left[place:]), fixed=moved | there)
-    return replace(changed, leg_s=fine_leg_s(changed))
 
 
 def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list[int]]:
@@ -210,22 +187,21 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
     while len(kept) > 1:
         places, models, jacobians = [], [], []
         for place in range(len(kept)):
-            terms, fixed = _terms_without(fitted.model, place)
-            less = replace(fitted.model, terms=terms, fixed=fixed)
-            jacobian = np.delete(fitted.jacobian, _values_of(fitted.model, place), axis=2)
+            less = fitted.model.without(place)
+            jacobian = np.delete(fitted.jacobian, fitted.model.indices(place), axis=2)
             complements = _complements(less, jacobian, place, fitted.model.terms[place])
             for model, derivative in [(less, jacobian), *complements]:
                 places.append(place)
                 models.append(model)
                 jacobians.append(derivative)
-        start_fits = evaluate(models, jacobians, refiner.swims, refiner.rows)
+        start_fits = evaluate(models, jacobians, refiner.data)
         near = [k for k, each in enumerate(start_fits) if each.deviance < fitted.deviance + FAR_OFF]
-        fits = fit_on([start_fits[k] for k in near], refiner.swims, refiner.rows, 2)
+        fits = fit_on([start_fits[k] for k in near], refiner.data, 2)
         dearer = [
             each.deviance
             - fitted.deviance
-            - refiner.replicate_count
-            * (EFFECT_PENALTY + PARAMETER_PENALTY * (free_count(fitted) - free_count(each)))
+            - refiner.data.replicate_count
+            * (EFFECT_PENALTY + PARAMETER_PENALTY * (fitted.free_count - each.free_count))
             for each in fits
         ]
         if min(dearer, default=0.0) >= 0.0:
@@ -254,7 +230,7 @@ def _complements(model: Model, jacobian: Float64, before: int, gone: Term) -> li
         names = [parameter.name for parameter in term.parameters]
         if not {"cycle", "middle", "share"} <= set(names):
             continue
-        values, moved, first = np.array(term.values), jacobian.copy(), _values_of(model, place).start
+        values, moved, first = np.array(term.values), jacobian.copy(), model.indices(place).start
         cycle, middle, share = (names.index(name) for name in ("cycle", "middle", "share"))
         turned = [k for k in range(len(names)) if k not in (cycle, middle)]
         values[turned] *= -1.0
@@ -269,24 +245,20 @@ def _complements(model: Model, jacobian: Float64, before: int, gone: Term) -> li
     return found
 
 
-def superfluous_term(fitted: Fitted, folds: Int64, swims: Sequence[Segments]) -> int | None:
+def superfluous_term(fitted: Fitted, data: Data) -> int | None:
     """Which of several terms does not improve the prediction of held-out parts of the training runs.
 
     By the cross-validated log density of the ends of periods (``steps.cross_fitted``), with and without each:
-    the term with the least gain, if the interval of that gain reaches zero. None if every term is needed.
-
-    Args:
-        fitted: with derivatives by all its parameters.
-        folds: (n,) of the periods that are used; see ``search.folds_of``.
-        swims: the training runs.
+    the term with the least gain, if the interval of that gain reaches zero. None if every term is needed, or
+    the runs have one fold. The fit has derivatives by all its parameters.
     """
-    model = fitted.model
-    if len(model.terms) < 2:
+    model, folds = fitted.model, data.folds
+    if len(model.terms) < 2 or len(np.unique(folds)) < 2:
         return None
     residuals, jacobian = fitted.residuals[:, -3:], fitted.jacobian[:, -3:, :]
-    damping = 1e-6 * residuals.size / model.range**2
+    damping = 1e-6 * residuals.size / model.reach**2
     whole = cross_fitted(residuals, jacobian, *step_bounds(model), damping, folds)
-    wider, gains = np.sqrt(replicate_count(swims)), list[tuple[float, float]]()
+    wider, gains = np.sqrt(data.replicate_count), list[tuple[float, float]]()
     for place in range(len(model.terms)):
         back, less = _term_to_nominal(model, place)
         scores = cross_fitted(residuals + jacobian @ back, jacobian, *step_bounds(less), damping, folds)
@@ -298,7 +270,7 @@ def superfluous_term(fitted: Fitted, folds: Int64, swims: Sequence[Segments]) ->
     return place if gains[place][1] <= 0.0 else None
 
 
-def stability(fitted: Fitted, rows: Bool, swims: Sequence[Segments], searched: bool) -> list[float]:
+def stability(fitted: Fitted, data: Data, searched: bool) -> list[float]:
     """Stability selection: the share of resamples of the runs in which each term would have been taken.
 
     Blocks of periods of each run are drawn with replacement, and the linearised model is fitted to each
@@ -307,22 +279,20 @@ def stability(fitted: Fitted, rows: Bool, swims: Sequence[Segments], searched: b
 
     Args:
         fitted: with derivatives by all its parameters.
-        rows: which periods of the runs ``fitted.residuals`` has.
-        swims: the training runs.
+        data: the training runs.
         searched: its terms were taken one by one; else jointly, and they share the penalty of one effect.
     """
     model = fitted.model
-    damping = 1e-6 * fitted.residuals.size / model.range**2
-    runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
+    damping = 1e-6 * fitted.residuals.size / model.reach**2
     base = EFFECT_PENALTY / (1 if searched else max(len(model.terms), 1))
     owed = [
-        base + PARAMETER_PENALTY * len(set(_values_of(model, place)) - model.fixed)
+        base + PARAMETER_PENALTY * len(set(model.indices(place)) - model.fixed)
         for place in range(len(model.terms))
     ]
     taken = np.zeros(len(model.terms))
     rng = np.random.default_rng(0)
     for _ in range(DRAWS):
-        drawn = drawn_periods(runs, rng)
+        drawn = drawn_periods(data.run, rng)
         residuals, jacobian = fitted.residuals[drawn], fitted.jacobian[drawn]
         _, whole = linearised_optimum(residuals, jacobian, *step_bounds(model), damping)
         for place in range(len(model.terms)):
@@ -330,33 +300,14 @@ def stability(fitted: Fitted, rows: Bool, swims: Sequence[Segments], searched: b
             _, deviance = linearised_optimum(
                 residuals + jacobian @ back, jacobian, *step_bounds(less), damping
             )
-            taken[place] += deviance - whole > replicate_count(swims) * owed[place]
+            taken[place] += deviance - whole > data.replicate_count * owed[place]
     return [float(share) for share in taken / DRAWS]
 
 
 def _term_to_nominal(model: Model, place: int) -> tuple[Float64, Model]:
     """The step that takes a term's parameters to nominal, and the model with them fixed."""
-    gone = _values_of(model, place)
+    gone = model.indices(place)
     back = np.zeros(len(model.values))
     for k, parameter in zip(gone, model.terms[place].parameters, strict=True):
         back[k] = parameter.nominal - model.values[k]
     return back, replace(model, fixed=model.fixed | frozenset(gone))
-
-
-def without(model: Model, place: int) -> Model:
-    """The model without one of its terms."""
-    terms, fixed = _terms_without(model, place)
-    return replace(model, terms=terms, fixed=fixed)
-
-
-def _values_of(model: Model, place: int) -> range:
-    """Indices of a term's values in ``Model.values``."""
-    first = sum(len(term.values) for term in model.terms[:place])
-    return range(first, first + len(model.terms[place].values))
-
-
-def _terms_without(model: Model, place: int) -> tuple[tuple[Term, ...], frozenset[int]]:
-    """A model's other terms, and which of their values are fixed."""
-    gone = _values_of(model, place)
-    fixed = frozenset(k if k < gone.start else k - len(gone) for k in model.fixed if k not in gone)
-    return model.terms[:place] + model.terms[place + 1 :], fixed

@@ -15,24 +15,24 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick.core.arrays import Bool, Float64
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.effects import Effect
 from frogkick.effects.registry import effects_of
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
     DIVERGED,
+    EFFECT_PENALTY,
+    PARAMETER_PENALTY,
     Fitted,
     Model,
     coarsened,
     derivatives,
     reestimated_noise,
-    residuals_of,
     rollouts_of,
 )
-from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.predict import Rollout
-from frogkick.identification.segments import Segments, part_of
+from frogkick.identification.segments import Data, Segments, part_of
 from frogkick.identification.steps import bounded_step, deviance_of, whiten, whitener
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot, built_in_robots, load_robot
@@ -96,9 +96,7 @@ def term_of(table: dict[str, object], effect: Effect) -> Term:
     return Term(kept, Path(), tuple(effect.parameters), values)
 
 
-def refitted(
-    nominal: Fitted, terms: Sequence[Term], swims: Sequence[Segments], rows: Bool, measured: bool = True
-) -> Fitted | None:
+def refitted(nominal: Fitted, terms: Sequence[Term], data: Data, measured: bool = True) -> Fitted | None:
     """Fit all effects of a calibrated start jointly; None if they explain too little for their number.
 
     Parameters that are nominal in its file stay so.
@@ -106,11 +104,11 @@ def refitted(
     Args:
         nominal: the model without them.
         terms: where the fit starts.
-        swims: the runs.
-        rows: periods that the derivatives of the result are of.
+        data: the runs.
         measured: start from its calibrated values; else from nominal ones, so that only the choice of effects
             and of their free parameters comes from the runs it was calibrated with.
     """
+    swims = data.swims
     flat = [
         (value, p.nominal) for term in terms for value, p in zip(term.values, term.parameters, strict=True)
     ]
@@ -128,7 +126,7 @@ def refitted(
         model = GaussNewton(model, part_of(swims, PART)).run(PART_STEPS_MAX)
         # The noise that is best at nominal values need not be so at these.
         model, _ = at_best_noise(model, swims)
-    fitted = fitted_to_ends(model, swims, rows, nominal.model.robot)
+    fitted = fitted_to_ends(model, data, nominal.model.robot)
     return fitted if end_deviance(fitted.rollouts, swims) < plain - dear else None
 
 
@@ -140,10 +138,11 @@ def at_best_noise(model: Model, swims: Sequence[Segments]) -> tuple[Model, float
     return models[best], deviances[best]
 
 
-def fitted_to_ends(begin: Model, swims: Sequence[Segments], rows: Bool, robot: Robot) -> Fitted:
+def fitted_to_ends(begin: Model, data: Data, robot: Robot) -> Fitted:
     """Fit a model to the ends of periods, with a coarsened frame and then with the robot's own."""
+    swims = data.swims
     model = GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(STEPS_MAX)
-    rough = derivatives([model], swims, rows)[0]
+    rough = derivatives([model], data)[0]
     fine = replace(model, robot=robot)
     (rollouts,) = rollouts_of([fine], swims)
     # Once more at its re-estimated noise: the first one is a round number.
@@ -151,8 +150,7 @@ def fitted_to_ends(begin: Model, swims: Sequence[Segments], rows: Bool, robot: R
     (other,) = rollouts_of([again], swims)
     if end_deviance(other, swims) < end_deviance(rollouts, swims):
         fine, rollouts = again, other
-    residuals = residuals_of(rollouts, rows)
-    return Fitted(fine, rollouts, residuals, rough.jacobian, deviance_of(residuals), fresh=False)
+    return Fitted.of(fine, rollouts, data, rough.jacobian)
 
 
 def best_end_deviance(fitted: Fitted, swims: Sequence[Segments]) -> float:
@@ -205,7 +203,7 @@ class GaussNewton:
     swims: Sequence[Segments]
 
     def __post_init__(self) -> None:
-        parameters = [p for term in self.model.terms for p in term.parameters]
+        parameters = self.model.parameters
         self.low, self.high = self.model.bounds
         self.is_factor = np.array([p.low > 0.0 and p.nominal == 1.0 for p in parameters])
         self.reach = np.where(self.is_factor, 0.5, 0.25 * (self.high - self.low))

@@ -20,9 +20,8 @@ import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.effects import Law
-from frogkick.identification.fit import Model, residuals_of, rollouts_of
+from frogkick.identification.fit import CONFOUNDED_MARGIN, Model, residuals_of, rollouts_of
 from frogkick.identification.paired import ActionSequence, Side, extend, segments_of_sequence
-from frogkick.identification.penalty import CONFOUNDED_MARGIN
 from frogkick.identification.predict import CLIP_SIGMA
 from frogkick.identification.refine import fixed_at
 from frogkick.identification.search import Found

@@ -7,18 +7,19 @@ refreshed where its prediction was wrong.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from frogkick.core.arrays import Bool, Float64
+from frogkick.effects import Effect, Parameter
 from frogkick.effects.acting import LEG_S
 from frogkick.effects.registry import effects_of
 from frogkick.identification.batching import roll_out
 from frogkick.identification.filter import Noise, maximum_likelihood_noise
 from frogkick.identification.predict import PHASES, STEP_S, Lane, Rollout
-from frogkick.identification.segments import Segments
+from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import CONVERGED, deviance_of, linearised_optimum
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
@@ -29,6 +30,24 @@ STEP_SHARE = 0.05
 
 SEGMENTS = 6
 """Segments of a coarsened frame's edge: turns are off by 0.2 degrees, at twice the speed."""
+
+
+EFFECT_PENALTY, PARAMETER_PENALTY = 20.0, 4.0
+"""What each effect, and each free parameter, must gain to be taken, in units of the deviance.
+
+It differs from the Bayesian information criterion (Schwarz 1978), whose penalty is ln(n) for each parameter:
+here the penalty of a parameter does not grow with the number n of periods (4 is BIC's at 55 periods), and an
+effect has a penalty of its own, because it is the best of many candidates.
+"""
+
+CONFOUNDED_MARGIN = 15.0
+"""Effects whose penalised deviances differ by less are confounded: the data cannot tell them apart."""
+
+REFINING_LEG_S = 0.06
+"""How often flows and wrenches are evaluated while effects are fitted."""
+
+WRENCH_LEG_S = 0.03
+"""The same for effects in the model that act on the body, which lags by half of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,18 +70,21 @@ class Model:
     step_s: float = STEP_S
     fixed: frozenset[int] = frozenset()
 
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """All effects, those of the robot's own file first, as a prediction takes them."""
+        every = (*effects_of(self.robot), *(term.effect() for term in self.terms))
+        return tuple(effect.likeliest() for effect in every)
+
     def lane(self, swim: Segments) -> Lane:
         """This model on a run, with the strokes that its limbs have at the run's own period."""
-        every = (*effects_of(self.robot), *(term.effect() for term in self.terms))
-        effects = tuple(effect.likeliest() for effect in every)
-        return Lane(swim, self.robot.at_period(swim.period_s), effects, self.noise, self.leg_s, self.step_s)
+        robot = self.robot.at_period(swim.period_s)
+        return Lane(swim, robot, self.effects, self.noise, self.leg_s, self.step_s)
 
     def with_values(self, values: Float64) -> Model:
         """The same with other values of all terms, concatenated."""
-        terms, first = [], 0
-        for term in self.terms:
-            terms.append(term.at(values[first : first + len(term.values)]))
-            first += len(term.values)
+        places = [self.indices(place) for place in range(len(self.terms))]
+        terms = (term.at(values[own]) for term, own in zip(self.terms, places, strict=True))
         return replace(self, terms=tuple(terms))
 
     @property
@@ -71,16 +93,52 @@ class Model:
         return np.array([value for term in self.terms for value in term.values], dtype=np.float64)
 
     @property
-    def bounds(self) -> tuple[Float64, Float64]:
-        """Lower and upper bounds of the values."""
-        parameters = [p for term in self.terms for p in term.parameters]
-        return np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
+    def parameters(self) -> list[Parameter]:
+        """What ``values`` are of."""
+        return [parameter for term in self.terms for parameter in term.parameters]
 
     @property
-    def range(self) -> Float64:
+    def bounds(self) -> tuple[Float64, Float64]:
+        """Lower and upper bounds of the values."""
+        return np.array([p.low for p in self.parameters]), np.array([p.high for p in self.parameters])
+
+    @property
+    def reach(self) -> Float64:
         """High minus low of each."""
         low, high = self.bounds
         return np.asarray(high - low, dtype=np.float64)
+
+    def indices(self, place: int) -> range:
+        """Indices into ``values`` of a term's parameters."""
+        first = sum(len(term.values) for term in self.terms[:place])
+        return range(first, first + len(self.terms[place].values))
+
+    def without(self, place: int) -> Model:
+        """The model without one of its terms."""
+        gone = self.indices(place)
+        fixed = frozenset(k if k < gone.start else k - len(gone) for k in self.fixed if k not in gone)
+        return replace(self, terms=self.terms[:place] + self.terms[place + 1 :], fixed=fixed)
+
+    def with_term_at(self, place: int, term: Term) -> Model:
+        """Put a term in a place (-1: the last); its parameters are free unless they are nominal."""
+        place %= len(self.terms)
+        left = self.without(place)
+        first, count = self.indices(place).start, len(term.values)
+        pairs = zip(term.values, term.parameters, strict=True)
+        there = {first + k for k, (value, parameter) in enumerate(pairs) if value == parameter.nominal}
+        fixed = {k if k < first else k + count for k in left.fixed} | there
+        terms = (*left.terms[:place], term, *left.terms[place:])
+        changed = replace(left, terms=terms, fixed=frozenset(fixed))
+        return replace(changed, leg_s=changed.fine_leg_s)
+
+    @property
+    def fine_leg_s(self) -> float:
+        """How often flows and wrenches are evaluated where the model is refined."""
+        effects = [term.effect() for term in self.terms]
+        if any(effect.stiff for effect in effects):
+            return LEG_S
+        pushes = any(type(effect).wrench is not Effect.wrench for effect in effects)
+        return WRENCH_LEG_S if pushes else REFINING_LEG_S
 
 
 def coarsened(robot: Robot) -> Robot:
@@ -146,6 +204,23 @@ class Fitted:
     deviance: float
     fresh: bool = True
 
+    @classmethod
+    def of(cls, model: Model, rollouts: list[Rollout], data: Data, jacobian: Float64 | None = None) -> Fitted:
+        """A model as simulated, with the Jacobian of a nearby point; without one it has no derivatives."""
+        residuals = residuals_of(rollouts, data.rows)
+        known = np.empty((*residuals.shape, 0)) if jacobian is None else jacobian
+        return cls(model, rollouts, residuals, known, deviance_of(residuals), fresh=jacobian is None)
+
+    @property
+    def free_count(self) -> int:
+        """Number of free parameters."""
+        return len(self.model.values) - len(self.model.fixed)
+
+    @property
+    def penalised_deviance(self) -> float:
+        """Deviance plus the penalty of the free parameters, without that of the effects."""
+        return self.deviance + PARAMETER_PENALTY * self.free_count
+
     def first(self, count: int) -> Fitted:
         """The same with the first so many terms, where the others change no prediction."""
         terms = self.model.terms[:count]
@@ -161,55 +236,63 @@ def difference_steps(model: Model) -> Float64:
     step over what a fit is about to find.
     """
     low, high = model.bounds
-    flat = [p for term in model.terms for p in term.parameters]
-    given = np.array([p.step for p in flat])
+    given = np.array([p.step for p in model.parameters])
     usual = STEP_SHARE * (high - low)
-    away = model.values != np.array([p.nominal for p in flat])
+    away = model.values != np.array([p.nominal for p in model.parameters])
     step = np.where(given > 0.0, np.where(away, np.minimum(given, usual), given), usual)
     return np.where(model.values + step > high, -step, step)
 
 
 def derivatives(
-    models: Sequence[Model],
-    swims: Sequence[Segments],
-    rows: Bool,
-    known: Float64 | None = None,
-    fixed: bool = True,
+    models: Sequence[Model], data: Data, known: Float64 | None = None, fixed: bool = True
 ) -> list[Fitted]:
     """Evaluate models with their Jacobians, all simulated in one batch.
 
     Args:
         models: at the values to evaluate.
-        swims, rows: see ``fit``.
+        data: the runs.
         known: (n, 9, q) derivatives by the first q parameters of every model, which are not simulated again.
         fixed: also differentiate by fixed parameters; a fit does not need these, and they are zero without.
     """
     skipped = 0 if known is None else known.shape[2]
-    lanes, steps = [], []
-    for model in models:
-        step = difference_steps(model)
-        steps.append(step)
-        lanes.append(model)
-        for k in _differentiated(model, skipped, fixed):
-            moved = model.values
-            moved[k] += step[k]
-            lanes.append(model.with_values(moved))
-    every = iter(rollouts_of(lanes, swims))
+    columns = [_differentiated(model, skipped, fixed) for model in models]
+    pairs = list(zip(models, columns, strict=True))
+    every = iter(rollouts_of([lane for pair in pairs for lane in (pair[0], *_moved(*pair))], data.swims))
     found = []
-    for model, step in zip(models, steps, strict=True):
-        rollouts = next(every)
-        base = residuals_of(rollouts, rows)
-        new = np.zeros((*base.shape, len(step) - skipped))
-        for k in _differentiated(model, skipped, fixed):
-            new[:, :, k - skipped] = (residuals_of(next(every), rows) - base) / step[k]
-        jacobian = new if known is None else np.concatenate([known, new], axis=2)
-        found.append(Fitted(model, rollouts, base, jacobian, deviance_of(base)))
+    for model, some in pairs:
+        plain = Fitted.of(model, next(every), data)
+        jacobian = np.zeros((*plain.residuals.shape, len(model.values)))
+        if known is not None:
+            jacobian[:, :, :skipped] = known
+        found.append(_with_columns(replace(plain, jacobian=jacobian), some, every, data))
     return found
 
 
 def _differentiated(model: Model, skipped: int, fixed: bool) -> list[int]:
     """Indices of the parameters whose derivatives are simulated."""
     return [k for k in range(skipped, len(model.values)) if fixed or k not in model.fixed]
+
+
+def _moved(model: Model, columns: Sequence[int]) -> list[Model]:
+    """The model with each of some parameters one step of a finite difference further."""
+    step = np.diag(difference_steps(model))
+    return [model.with_values(model.values + step[k]) for k in columns]
+
+
+def _with_columns(
+    fitted: Fitted, columns: Sequence[int], moved: Iterator[list[Rollout]], data: Data
+) -> Fitted:
+    """The fit with derivatives by some parameters from the rollouts of the moved models."""
+    step, jacobian = difference_steps(fitted.model), fitted.jacobian.copy()
+    for k in columns:
+        jacobian[:, :, k] = (residuals_of(next(moved), data.rows) - fitted.residuals) / step[k]
+    return replace(fitted, jacobian=jacobian, fresh=True)
+
+
+def deviances_of(models: Sequence[Model], data: Data) -> list[float]:
+    """Deviance of each model as simulated."""
+    every = rollouts_of(models, data.swims)
+    return [deviance_of(residuals_of(rollouts, data.rows)) for rollouts in every]
 
 
 DAMPINGS, STEP_SHARES = (1e-6, 1e-1, 30.0), (1.0, 0.4, 0.1)
@@ -228,85 +311,55 @@ SMALL_SHARE = 0.25
 """A step is not simulated if it is predicted to gain less than this share of the fall that ends a fit."""
 
 
-def evaluate(
-    models: Sequence[Model], jacobians: Sequence[Float64], swims: Sequence[Segments], rows: Bool
-) -> list[Fitted]:
+def evaluate(models: Sequence[Model], jacobians: Sequence[Float64], data: Data) -> list[Fitted]:
     """Evaluate models by simulation; their Jacobians are those of a nearby point."""
-    found = []
-    for model, jacobian, rollouts in zip(models, jacobians, rollouts_of(models, swims), strict=True):
-        residuals = residuals_of(rollouts, rows)
-        found.append(Fitted(model, rollouts, residuals, jacobian, deviance_of(residuals), fresh=False))
-    return found
+    every = zip(models, rollouts_of(models, data.swims), jacobians, strict=True)
+    return [Fitted.of(model, rollouts, data, jacobian) for model, rollouts, jacobian in every]
 
 
 def refresh_jacobian(
-    fits: Sequence[Fitted], swims: Sequence[Segments], rows: Bool, skipped: int = 0, fixed: bool = True
+    fits: Sequence[Fitted], data: Data, skipped: int = 0, fixed: bool = True
 ) -> list[Fitted]:
     """Refresh Jacobians at the present values; columns that are up to date are not simulated again.
 
     Args:
         fits: the fits to refresh.
-        swims, rows: see ``fit``.
+        data: the runs.
         skipped: the first so many parameters keep their derivatives.
         fixed: see ``derivatives``.
     """
-    lanes, wanted = [], []
-    for fitted in fits:
-        step = difference_steps(fitted.model)
-        some = [
+    wanted = [
+        [
             k
-            for k in _differentiated(fitted.model, skipped, fixed)
-            if not fitted.fresh or not fitted.jacobian[:, :, k].any()
+            for k in _differentiated(each.model, skipped, fixed)
+            if not each.fresh or not each.jacobian[:, :, k].any()
         ]
-        wanted.append([(k, float(step[k])) for k in some])
-        for k in some:
-            moved = fitted.model.values
-            moved[k] += step[k]
-            lanes.append(fitted.model.with_values(moved))
-    every, found = iter(rollouts_of(lanes, swims)), []
-    for fitted, columns in zip(fits, wanted, strict=True):
-        jacobian = fitted.jacobian.copy()
-        for k, step_k in columns:
-            jacobian[:, :, k] = (residuals_of(next(every), rows) - fitted.residuals) / step_k
-        found.append(replace(fitted, jacobian=jacobian, fresh=True))
-    return found
+        for each in fits
+    ]
+    pairs = list(zip(fits, wanted, strict=True))
+    every = iter(rollouts_of([lane for each, some in pairs for lane in _moved(each.model, some)], data.swims))
+    return [_with_columns(each, some, every, data) for each, some in pairs]
 
 
-def fit(
-    model: Model, swims: Sequence[Segments], rows: Bool, steps_max: int = 6, tolerance: float = CONVERGED
-) -> Fitted:
-    """Fit all free parameters of a model's terms to runs, at its noise.
-
-    Args:
-        model: where to start.
-        swims: the runs.
-        rows: periods that are used.
-        steps_max: steps at most.
-        tolerance: a fall of the deviance that ends a fit.
-    """
-    return fit_many([model], swims, rows, steps_max, tolerance=tolerance)[0]
+def fit(model: Model, data: Data, steps_max: int = 6, tolerance: float = CONVERGED) -> Fitted:
+    """Fit all free parameters of a model's terms to runs, at its noise, from the values that it has."""
+    return fit_many([model], data, steps_max, tolerance=tolerance)[0]
 
 
 def fit_many(
     models: Sequence[Model],
-    swims: Sequence[Segments],
-    rows: Bool,
+    data: Data,
     steps_max: int,
     known: Float64 | None = None,
     tolerance: float = CONVERGED,
 ) -> list[Fitted]:
     """Fit several models in one batch; see ``fit`` and ``derivatives``, here without fixed parameters."""
-    start_fits = derivatives(models, swims, rows, known, fixed=False)
-    return fit_on(start_fits, swims, rows, steps_max, 0 if known is None else known.shape[2], tolerance)
+    start_fits = derivatives(models, data, known, fixed=False)
+    return fit_on(start_fits, data, steps_max, 0 if known is None else known.shape[2], tolerance)
 
 
 def fit_on(
-    start_fits: Sequence[Fitted],
-    swims: Sequence[Segments],
-    rows: Bool,
-    steps_max: int,
-    skipped: int = 0,
-    tolerance: float = CONVERGED,
+    start_fits: Sequence[Fitted], data: Data, steps_max: int, skipped: int = 0, tolerance: float = CONVERGED
 ) -> list[Fitted]:
     """Fit several models in one batch from evaluated starts with the Jacobians that they have.
 
@@ -315,7 +368,8 @@ def fit_on(
 
     Args:
         start_fits: where to start.
-        swims, rows, steps_max: see ``fit``.
+        data: the runs.
+        steps_max: steps at most.
         skipped: the first so many parameters keep their derivatives.
         tolerance: a fall of the deviance that ends a fit.
     """
@@ -331,13 +385,10 @@ def fit_on(
             break
         jacobians = [best[k].jacobian for k in tries]
         stale = []
-        ends = evaluate([model for model, _ in tries.values()], jacobians, swims, rows)
+        ends = evaluate([model for model, _ in tries.values()], jacobians, data)
         for (k, (_, deviance)), tried in zip(tries.items(), ends, strict=True):
-            gain, predicted, fresh = (
-                best[k].deviance - tried.deviance,
-                best[k].deviance - deviance,
-                best[k].fresh,
-            )
+            gain, predicted = best[k].deviance - tried.deviance, best[k].deviance - deviance
+            fresh = best[k].fresh
             mispredicted = abs(gain - predicted) > max(MISPREDICTION_MAX * predicted, tolerance)
             if gain > 0.0:
                 best[k] = tried
@@ -352,7 +403,7 @@ def fit_on(
             else:
                 failed[k] += 1  # the step was too long
         if stale and turn + 1 < steps_max:
-            fits = refresh_jacobian([best[k] for k in stale], swims, rows, skipped, fixed=False)
+            fits = refresh_jacobian([best[k] for k in stale], data, skipped, fixed=False)
             best = [dict(zip(stale, fits, strict=True)).get(k, each) for k, each in enumerate(best)]
     return best
 
@@ -360,7 +411,7 @@ def fit_on(
 def _damped_step(fitted: Fitted, failed: int) -> tuple[Model, float]:
     """The model one damped Gauss-Newton step further, and the deviance that is predicted for it."""
     model = fitted.model
-    damping = DAMPINGS[failed] * fitted.residuals.size / model.range**2
+    damping = DAMPINGS[failed] * fitted.residuals.size / model.reach**2
     step, deviance = linearised_optimum(fitted.residuals, fitted.jacobian, *step_bounds(model), damping)
     if STEP_SHARES[failed] < 1.0:
         step = STEP_SHARES[failed] * step

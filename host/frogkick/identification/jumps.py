@@ -13,14 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
-from frogkick.effects import Law
 from frogkick.identification.segments import Segments
-from frogkick.identification.terms import Term
+from frogkick.identification.terms import Term, law_term
 
 FAR_SIGMA = 6.0
 """A fix is far off if its distance is more than this many robust standard deviations."""
@@ -56,11 +54,8 @@ class Jumps:
             "on": "fix",
             "x_m": f"size * (chance < jumping) * cos({turn})",
             "y_m": f"size * (chance < jumping) * sin({turn})",
-            "parameters": declared,
         }
-        law = Law(title="fixes that jump", **table)  # type: ignore[arg-type]
-        whole = {"name": "law", "title": "fixes that jump", **table}
-        return Term(tuple(whole.items()), Path(), law.parameters, (self.chance[0], self.size_m[0]))
+        return law_term("fixes that jump", table, declared, (self.chance[0], self.size_m[0]))
 
 
 def jumps_of(swims: Sequence[Segments]) -> Jumps | None:

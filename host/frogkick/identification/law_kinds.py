@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from frogkick.effects import Law
 from frogkick.identification.segments import Segments
-from frogkick.identification.terms import Term
+from frogkick.identification.terms import Term, law_term
 from frogkick.robot import Robot
 
 Strength = tuple[str, float, float, float]
@@ -77,10 +76,7 @@ class Kind:
             declared[name] = {"unit": unit, "low": low, "high": high, "nominal": nominal, "step": step}
             if name == "at":  # all moments between two strokes are equivalent
                 declared[name]["tolerance"] = 0.5 * step
-        table = {"name": "law", "title": self.title, **self.table, "parameters": declared}
-        law = Law(**{key: value for key, value in table.items() if key != "name"})  # type: ignore[arg-type]
-        values = tuple(float(shape.get(p.name, 0.0)) for p in law.parameters)
-        return Term(tuple(table.items()), Path(), law.parameters, values)
+        return law_term(self.title, self.table, declared, [shape.get(name, 0.0) for name in declared])
 
 
 def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:

@@ -18,13 +18,14 @@ import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
 from frogkick.core.progress import TellStage, silent
-from frogkick.identification.fit import Fitted, step_bounds
+from frogkick.effects.limbs import ALL
+from frogkick.identification.fit import PARAMETER_PENALTY, Fitted, Model, deviances_of, evaluate, step_bounds
 from frogkick.identification.law_kinds import MOMENTS, Kind, kinds_of
-from frogkick.identification.penalty import PARAMETER_PENALTY
 from frogkick.identification.responses import Responses
 from frogkick.identification.screening import Column
-from frogkick.identification.segments import Segments
+from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import DOF, linearised_optimum, whitener
+from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
 REFINED = 8
@@ -45,20 +46,26 @@ BY_CHANCE = 24
 """Shapes of each kind that enter the estimate of the largest gain by chance: their neighbours act alike."""
 
 
+MOMENT = "at"
+"""Name of the parameter that is a law's moment."""
+
+WORSE = 3.84
+"""Rise of the deviance at the ends of a 95 % interval (chi-square with one degree of freedom)."""
+
+SAME = 0.04
+"""Two moments fit equally well if their deviances differ by less."""
+
+NEIGHBOURS = 6
+"""Gaps between strokes that are tried on each side of the moment's own gap."""
+
+
 class Laws:
     """The grammar of laws for some runs, with the responses of the runs to each law."""
 
     def __init__(
         self, responses: Responses, swims: Sequence[Segments], robot: Robot, progress: TellStage = silent
     ) -> None:
-        """Evaluate every kind of law at every shape of its grid.
-
-        Args:
-            responses: of the runs; see ``responses_of``.
-            swims: the runs.
-            robot: the nominal robot.
-            progress: called with a stage, the steps done and all steps.
-        """
+        """Evaluate every kind of law at every shape of its grid."""
         self._responses, self._limbs = responses, [limb.name for limb in robot.limbs]
         self._grids: list[tuple[Kind, float | None, list[int], Float64]] = []
         self._bins: list[tuple[Kind, Float64, Float64]] = []
@@ -264,3 +271,81 @@ class _Beside:
             gains = np.einsum("kp,kp->k", slope, np.linalg.solve(whole, slope[:, :, None])[:, :, 0])
             found = np.maximum(found, gains / max(float(left @ left), 1e-30))
         return found
+
+
+def centred(fitted: Fitted, data: Data) -> Fitted:
+    """Move each moment (s) from which a law on strokes acts to the middle of those that fit equally well.
+
+    All moments between two strokes do, so a moment has no derivative. These moments reach from one stroke to
+    the next, and farther if the period of a stroke is not used.
+    """
+    model = fitted.model
+    for place, term in enumerate(model.terms):
+        borders = _borders(term, fitted.model, data.swims)
+        if borders is not None:
+            low, high = _alike(fitted, place, borders, data, SAME)
+            model = _with_moment(model, place, 0.5 * (low + high))
+    if model is fitted.model:
+        return fitted
+    (moved,) = evaluate([model], [fitted.jacobian], data)
+    # If it is worse, its strokes on the fixes' clock are not those of the simulation.
+    return fitted if moved.deviance > fitted.deviance + SAME else moved
+
+
+def moment_intervals(fitted: Fitted, data: Data) -> dict[int, tuple[float, float]]:
+    """Likelihood interval (s) of each such moment; the key is the index of the law among the model's terms.
+
+    It extends from stroke to stroke while the deviance, simulated with all other parameters unchanged, rises
+    by less than WORSE."""
+    borders = [_borders(term, fitted.model, data.swims) for term in fitted.model.terms]
+    return {
+        place: _alike(fitted, place, those, data, WORSE)
+        for place, those in enumerate(borders)
+        if those is not None
+    }
+
+
+def _alike(fitted: Fitted, place: int, borders: Float64, data: Data, worse: float) -> tuple[float, float]:
+    """Ends (s) of the moments around a law's own at which the deviance is higher by less than ``worse``."""
+    k = _gap(borders, fitted.model.terms[place])
+    tried = np.arange(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, len(borders) - 1))
+    models = [_with_moment(fitted.model, place, float(borders[each : each + 2].mean())) for each in tried]
+    good = set(tried[np.array(deviances_of(models, data)) < fitted.deviance + worse].tolist())
+    first = last = k
+    while first - 1 in good:
+        first -= 1
+    while last + 1 in good:
+        last += 1
+    return float(borders[first]), float(borders[last + 1])
+
+
+def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> Float64 | None:
+    """(k,) ascending times (s): the bounds of a law's moment, and the strokes between that the law acts on.
+
+    None for a law without a moment, or one that does not act on strokes.
+    """
+    table, number = dict(term.table), _number(term)
+    if number is None or table.get("on") != "stroke":
+        return None
+    limbs = {k for k, limb in enumerate(model.robot.limbs) if table.get("limb", ALL) in (ALL, limb.name)}
+    low, high = term.parameters[number].low, term.parameters[number].high
+    strokes = {at for swim in swims for at, limb in swim.strokes if limb in limbs and low < at < high}
+    return np.array([low, *sorted(strokes), high])
+
+
+def _number(term: Term) -> int | None:
+    """Index of the parameter that is a law's moment; None without one."""
+    names = [parameter.name for parameter in term.parameters]
+    return names.index(MOMENT) if term.name == "law" and MOMENT in names else None
+
+
+def _gap(borders: Float64, term: Term) -> int:
+    """Index of the gap between borders that contains a law's moment."""
+    at = term.values[_number(term) or 0]
+    return int(np.clip(np.searchsorted(borders, at) - 1, 0, len(borders) - 2))
+
+
+def _with_moment(model: Model, place: int, at_s: float) -> Model:
+    values = list(model.terms[place].values)
+    values[_number(model.terms[place]) or 0] = at_s
+    return model.with_term_at(place, model.terms[place].at(values))

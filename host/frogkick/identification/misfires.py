@@ -19,22 +19,28 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from frogkick.core.arrays import Bool, Float64, Int64
-from frogkick.effects import Law
 from frogkick.identification.bootstrap import drawn_periods
 from frogkick.identification.calibrated import end_errors
-from frogkick.identification.fit import DIVERGED, Fitted, Model, residuals_of, rollouts_of
-from frogkick.identification.penalty import CONFOUNDED_MARGIN, EFFECT_PENALTY, PARAMETER_PENALTY
+from frogkick.identification.fit import (
+    CONFOUNDED_MARGIN,
+    DIVERGED,
+    EFFECT_PENALTY,
+    PARAMETER_PENALTY,
+    Fitted,
+    Model,
+    residuals_of,
+    rollouts_of,
+)
 from frogkick.identification.predict import Rollout
 from frogkick.identification.responses import Values, Weaker, fired_strokes, rollouts_with
-from frogkick.identification.segments import Segments, replicate_count
+from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import DOF, deviance_of, log_density, scale_of
-from frogkick.identification.terms import Term
+from frogkick.identification.terms import Term, law_term
 
 CHANCES = (0.01, 0.7)
 """Smallest and largest probability of a misfire: a limb that mostly does nothing is worn."""
@@ -166,25 +172,23 @@ class Misfires:
         ]
 
 
-def misfires_of(
-    base: Fitted, swims: Sequence[Segments], rows: Bool, changes: Float64 | None = None
-) -> Misfires | None:
+def misfires_of(base: Fitted, data: Data, changes: Float64 | None = None) -> Misfires | None:
     """Select limbs that misfire by forward selection; None if no limb explains more than chance.
 
     Args:
         base: the fitted model to which misfires are added.
-        swims, rows: the runs, and which of their periods are used.
+        data: the runs.
         changes: (n, 9, l) change of the residuals if a limb does nothing; None: simulated here.
     """
-    model, replicates = base.model, replicate_count(swims)
+    model, swims, replicates = base.model, data.swims, data.replicate_count
     limbs = range(len(model.robot.limbs))
     if changes is None:
         moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
-        plain = residuals_of(moved[0], rows)
-        changes = np.stack([residuals_of(each, rows) - plain for each in moved[1:]], axis=2)
+        plain = residuals_of(moved[0], data.rows)
+        changes = np.stack([residuals_of(each, data.rows) - plain for each in moved[1:]], axis=2)
     changes = changes.copy()
     changes[(np.abs(changes) > 0.5 * DIVERGED[:, None]).any(axis=(1, 2))] = 0.0  # a simulation failed
-    times = np.concatenate([fired_strokes(swim, len(limbs)) for swim in swims])[rows]
+    times = data.used(fired_strokes(swim, len(limbs)) for swim in swims)
     fired = np.isfinite(times)
     least = deviance_of(base.residuals)
     taken: list[int] = []
@@ -222,11 +226,10 @@ def misfires_of(
     chance = [
         (float(best.chance[k]), *_interval(best, base, changes, fired, taken, k)) for k in range(len(taken))
     ]
-    runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
     failed = [
         [
             (swims[run].name, float(time_s), round(float(share), 4))
-            for run, time_s, share in zip(runs, times[:, limb], best.failed[:, k], strict=True)
+            for run, time_s, share in zip(data.run, times[:, limb], best.failed[:, k], strict=True)
             if math.isfinite(time_s)
         ]
         for k, limb in enumerate(taken)
@@ -242,7 +245,7 @@ def misfires_of(
         chance,
         mixed.scale,
         failed,
-        _stability(scores, runs, replicates),
+        _stability(scores, data.run, replicates),
         confounded,
         least + (EFFECT_PENALTY + PARAMETER_PENALTY) * len(taken),
     )
@@ -388,7 +391,5 @@ def _title(limb: str) -> str:
 
 def _term(limb: str, chance: float) -> Term:
     declared = {"failing": {"unit": "1", "low": 0.0, "high": 1.0, "nominal": 0.0, "step": 0.1}}
-    table = {"on": "stroke", "limb": limb, "gain": "chance >= failing", "parameters": declared}
-    law = Law(title="misfire", **table)  # type: ignore[arg-type]
-    whole = {"name": "law", "title": "misfire", **table}
-    return Term(tuple(whole.items()), Path(), law.parameters, (chance,))
+    table = {"on": "stroke", "limb": limb, "gain": "chance >= failing"}
+    return law_term("misfire", table, declared, (chance,))

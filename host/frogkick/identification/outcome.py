@@ -26,15 +26,19 @@ from frogkick.identification.choice import (
     with_jumps,
     with_misfires,
 )
-from frogkick.identification.diagnostics import residual_diagnostics
+from frogkick.identification.diagnostics import (
+    fix_innovations,
+    missing_wrench,
+    residual_diagnostics,
+    stroke_ratios,
+)
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of, law_test
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
 from frogkick.identification.jumps import jumps_of, without_jumps
-from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
-from frogkick.identification.moments import MOMENT, moment_intervals
+from frogkick.identification.laws import MOMENT, moment_intervals
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable
@@ -182,10 +186,10 @@ class Outcome:
         if responses is None:
             return {"wrench": None, "strokes": None, "fixes": fixes}
         limbs = [limb.name for limb in self.robot.limbs]
-        wrench = missing_wrench(found.fitted, responses, self.train, found.rows)
+        wrench = missing_wrench(found.fitted, responses, found.data)
         return {
             "wrench": wrench.as_json([swim.name for swim in self.train]),
-            "strokes": stroke_ratios(found.fitted, responses, self.train, found.rows, limbs),
+            "strokes": stroke_ratios(found.fitted, responses, found.data, limbs),
             "fixes": fixes,
         }
 
@@ -261,41 +265,41 @@ def identify(
         train, test = without_jumps(train), without_jumps(test)
     found = found_in(train, robot, candidates, progress, measured)
     if laws:
-        found = discovered(found, train, robot, progress)
+        found = discovered(found, robot, progress)
     if jumps is not None and (plain := in_all_fixes(found, raw[0], robot)) is not None:
         found, (train, test), jumps = plain, raw, None
-    found = with_misfires(pruned(found, train, progress), train)
+    found = with_misfires(pruned(found, progress))
     found = with_jumps(found, jumps, raw[0], robot)
-    trained = scored(found, train, train, found.nominal.rollouts, found.fitted.rollouts, (raw[0], raw[0]))
+    trained = scored(found, train, found.nominal.rollouts, found.fitted.rollouts, (raw[0], raw[0]))
     models = [found.nominal.model, found.fitted.model]
     if jumps is None:
         nominal_rollouts, rollouts = rollouts_of(models, test)
     else:
         nominal_rollouts, rollouts = rollouts_of(models[:1], raw[1])[0], rollouts_of(models[1:], test)[0]
-    tested = scored(found, train, test, nominal_rollouts, rollouts, raw)
+    tested = scored(found, test, nominal_rollouts, rollouts, raw)
     dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
     if dropped:
         # Effects that do not help on other runs are no part of the model that is returned.
-        train, test, responses = *raw, found.responses
-        _, rows, nominal = nominal_fit(train, robot) if jumps else (None, found.rows, found.nominal)
-        found = Found(nominal, nominal, found.iterations, rows, [], found.sensitivities)
-        found = replace(found, responses=None if jumps else responses)
-        trained = scored(found, train, train, found.nominal.rollouts, found.nominal.rollouts)
+        train, test = raw
+        data, nominal = nominal_fit(train, robot) if jumps else (found.data, found.nominal)
+        plain = Found(data, nominal, nominal, found.iterations, [], found.sensitivities)
+        found = replace(plain, responses=None if jumps else found.responses)
+        trained = scored(found, train, nominal.rollouts, nominal.rollouts)
         rollouts = nominal_rollouts
-        tested = scored(found, train, test, rollouts, rollouts)
-    drift, followed = _followed(found, train, test, nominal_rollouts, rollouts, robot)
+        tested = scored(found, test, rollouts, rollouts)
+    drift, followed = _followed(found, test, nominal_rollouts, rollouts, robot)
     return Outcome(
         verdict=verdict_of(found, trained, tested),
         robot=robot,
         train=train,
         test=test,
         found=found,
-        parameters=_parameters(found, train),
+        parameters=_parameters(found),
         trained=trained,
         tested=tested,
         nominal_rollouts=nominal_rollouts,
         rollouts=rollouts,
-        diagnostics=residual_diagnostics(found.fitted, found.rows, train),
+        diagnostics=residual_diagnostics(found.fitted, found.data),
         drift=drift,
         followed=followed,
         dropped=dropped,
@@ -303,7 +307,7 @@ def identify(
     )
 
 
-def _parameters(found: Found, train: Sequence[Segments]) -> list[list[Interval]]:
+def _parameters(found: Found) -> list[list[Interval]]:
     """Intervals of each term's parameters. Those of chances are known: no prediction depends on them."""
     by_chance: list[list[Interval]] = []
     if found.misfires is not None:
@@ -311,22 +315,21 @@ def _parameters(found: Found, train: Sequence[Segments]) -> list[list[Interval]]
     if (jumps := found.jumps) is not None:
         by_chance += [[Interval("jumping", *jumps.chance, "1"), Interval("size", *jumps.size_m, "m")]]
     fitted = found.fitted.first(len(found.fitted.model.terms) - len(by_chance))
-    known = intervals(fitted, found.rows, discretisation_shift(fitted, train, found.rows))
-    for place, (low, high) in moment_intervals(fitted, train, found.rows).items():
+    known = intervals(fitted, found.data, discretisation_shift(fitted, found.data))
+    for place, (low, high) in moment_intervals(fitted, found.data).items():
         known[place] = [replace(p, low=low, high=high) if p.name == MOMENT else p for p in known[place]]
     return [*known, *by_chance]
 
 
 def _followed(
     found: Found,
-    train: Sequence[Segments],
     test: Sequence[Segments],
     nominal_rollouts: Sequence[Rollout],
     rollouts: Sequence[Rollout],
     robot: Robot,
 ) -> tuple[Drift | None, Followed | None]:
     """Drift beside the fitted model, and the test runs with each model's own drift tracked."""
-    drifts = [drift_of(each.rollouts, train, robot) for each in (found.nominal, found.fitted)]
+    drifts = [drift_of(each.rollouts, found.data.swims, robot) for each in (found.nominal, found.fitted)]
     if drifts == [None, None]:
         return None, None
     moved = [

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -26,7 +27,7 @@ from frogkick.identification.filter import initial_rate_std
 from frogkick.identification.fit import Fitted, Model, coarsened, residuals_of
 from frogkick.identification.predict import PHASES, Lane, Rollout
 from frogkick.identification.screening import COARSE_STEP_S
-from frogkick.identification.segments import Segments
+from frogkick.identification.segments import Data, Segments
 from frogkick.robot import Robot
 
 Values = Mapping[str, Float64 | float]
@@ -214,39 +215,28 @@ def _finite(values: Float64 | float, *shape: int) -> Float64:
     return np.where(np.isfinite(whole), whole, 0.0)
 
 
-def responses_of(nominal: Fitted, swims: Sequence[Segments], rows: Bool) -> Responses:
-    """Simulate the responses of runs to forces, flows and weaker strokes, and compute those to fixes.
-
-    Args:
-        nominal: the model, with its rollouts of the runs.
-        swims: the runs.
-        rows: (m,) whether each of their periods is used.
-    """
+def responses_of(nominal: Fitted, data: Data) -> Responses:
+    """Simulate the responses of runs to forces, flows and weaker strokes, and compute those to fixes."""
+    swims, rows = data.swims, data.rows
     model = nominal.model
     count = len(model.robot.limbs)
-    kinds: list[list[Effect]] = [[] for _ in swims]
-    sizes: list[float] = []
+    kinds: list[tuple[float, Callable[[Segments], Effect]]] = []
     for third, (axis, size) in product(range(THIRDS), enumerate(PUSHES)):
         wrench = [size * (axis == k) for k in range(3)]
-        for own, swim in zip(kinds, swims, strict=True):
-            own.append(_Push(swim, third, wrench))
-        sizes.append(size)
+        kinds.append((size, partial(_Push, third=third, wrench=wrench)))
     for third, axis in product(range(THIRDS), range(2)):
         flow = [FLOW_MPS * (axis == k) for k in range(2)]
-        for own, swim in zip(kinds, swims, strict=True):
-            own.append(_Stream(swim, third, flow))
-        sizes.append(FLOW_MPS)
+        kinds.append((FLOW_MPS, partial(_Stream, third=third, flow=flow)))
     for turn, limb, loss in product(range(LAGS), range(count), LOSSES):
-        for own, swim in zip(kinds, swims, strict=True):
-            own.append(Weaker(limb, loss, swim, turn))
-        sizes.append(1.0)
-    every = [residuals_of(each, rows) for each in rollouts_with(model, kinds, swims)]
-    columns = np.stack([moved - every[0] for moved in every[1:]], axis=2) / np.array(sizes)
+        kinds.append((1.0, partial(Weaker, limb, loss, turn=turn)))
+    sizes = np.array([size for size, _ in kinds])
+    effects = [[effect(swim) for _, effect in kinds] for swim in swims]
+    every = [residuals_of(each, rows) for each in rollouts_with(model, effects, swims)]
+    columns = np.stack([moved - every[0] for moved in every[1:]], axis=2) / sizes
     columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # a simulation diverged
     n, pushes, flows = len(columns), THIRDS * 3, THIRDS * 2
     # A stroke that is weakened in a period's own turn changes that period; in the turn before, the next one.
-    order = np.concatenate([np.arange(len(swim.start_s)) for swim in swims])[rows][:, None]
-    lags = np.arange(LAGS)
+    order, lags = data.order[:, None], np.arange(LAGS)
     lost = columns[:, :, pushes + flows :].reshape(n, 9, LAGS, count, len(LOSSES))
     lost = np.moveaxis(lost[np.arange(n)[:, None], :, (order - lags) % LAGS], 1, 2)
     source = np.where(order >= lags, np.flatnonzero(rows)[:, None] - lags, -1)
@@ -260,7 +250,7 @@ def responses_of(nominal: Fitted, swims: Sequence[Segments], rows: Bool) -> Resp
         lost,
         source,
         (places, turns),
-        np.concatenate([rollout.start[:, 2] for rollout in nominal.rollouts])[rows],
+        data.used(rollout.start[:, 2] for rollout in nominal.rollouts),
         _bodies(swims, rows),
         _strokes(swims, model.robot),
         {**named, "time_s": times, "chance": 0.5},

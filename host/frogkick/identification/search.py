@@ -15,46 +15,39 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from frogkick.core.arrays import Bool, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.progress import TellStage, silent
-from frogkick.identification.backward import resolve_equivalent, revise, with_term_at, without
+from frogkick.identification.backward import equally_good, resolve_equivalent, revise
 from frogkick.identification.batching import all_of
 from frogkick.identification.bootstrap import gain_by_chance
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
+    CONFOUNDED_MARGIN,
+    EFFECT_PENALTY,
+    PARAMETER_PENALTY,
+    REFINING_LEG_S,
     Fitted,
     Model,
+    deviances_of,
     evaluate,
     fit,
     fit_many,
     fit_on,
     reestimated_noise,
     refresh_jacobian,
-    residuals_of,
     rollouts_of,
 )
-from frogkick.identification.held_out import bent_gain, held_out_gain
-from frogkick.identification.laws import Laws
-from frogkick.identification.moments import centred
-from frogkick.identification.penalty import (
-    CONFOUNDED_MARGIN,
-    EFFECT_PENALTY,
-    PARAMETER_PENALTY,
-    penalised_deviance,
+from frogkick.identification.laws import Laws, centred
+from frogkick.identification.refine import NOISE_OF_MISFIT, REFIT_MARGIN, STEPS_MAX, Refiner, best_noise
+from frogkick.identification.screening import (
+    Column,
+    Screened,
+    bent_gain,
+    held_out_gain,
+    screened,
+    sensitivities,
 )
-from frogkick.identification.refine import (
-    NOISE_OF_MISFIT,
-    REFINING_LEG_S,
-    REFIT_MARGIN,
-    STEPS_MAX,
-    Refiner,
-    best_noise,
-    fine_leg_s,
-)
-from frogkick.identification.screening import Column, Screened, screened, sensitivities
-from frogkick.identification.segments import Segments, replicate_count
-from frogkick.identification.steps import deviance_of
+from frogkick.identification.segments import Data, Segments
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
@@ -84,8 +77,6 @@ DECISIVE_GAIN = 60.0
 
 HELD_OUT_GAIN_MIN = 1.0
 """Minimum rise of twice the log density of a held-out period (9 numbers): less is below the noise."""
-
-FOLDS_MIN = 4
 
 REFINING_STEPS_MAX, REFINING_CONVERGED = 5, 4.0
 """Steps of the fits of the best candidates at most, and the fall of the deviance that ends them: after two
@@ -119,23 +110,24 @@ class Found:
     """Result of a search.
 
     Attributes:
+        data: the runs that were searched.
         nominal: the model without effects, its noise fitted.
         fitted: with the effects chosen.
         iterations: scores of the candidates in each iteration.
-        rows: periods that were used.
         confounded_with: for each effect chosen, the titles of others that the data cannot tell from it.
+        sensitivities: of the candidates.
         rivals: these others, fitted.
         stability: of each effect; see ``backward.stability``.
         misfires: limbs that do nothing by chance, whose laws are the last terms but those of jumps.
-        responses: of the runs to forces, flows and strokes, if laws were searched for.
         jumps: fixes that jump by chance, whose law is the last term; they were taken out of the runs.
+        responses: of the runs to forces, flows and strokes, if laws were searched for.
     """
 
+    data: Data
     nominal: Fitted
     fitted: Fitted
-    iterations: list[list[CandidateScore]]
-    rows: Bool
-    confounded_with: list[list[str]]
+    iterations: list[list[CandidateScore]] = field(default_factory=list)
+    confounded_with: list[list[str]] = field(default_factory=list)
     sensitivities: list[Column] = field(default_factory=list)
     rivals: list[list[Term]] = field(default_factory=list)
     stability: list[float] = field(default_factory=list)
@@ -144,12 +136,8 @@ class Found:
     responses: Responses | None = None
 
 
-Baseline = tuple[Model, Bool, Fitted]
-"""Result of ``nominal_fit``."""
-
-
-def nominal_fit(swims: Sequence[Segments], robot: Robot) -> Baseline:
-    """The nominal model with its noise fitted, the periods that can be used, and its fit.
+def nominal_fit(swims: Sequence[Segments], robot: Robot) -> tuple[Data, Fitted]:
+    """The periods of runs that can be used, and the nominal model with its noise fitted to them.
 
     Raises:
         InputError: no period can be used.
@@ -161,26 +149,15 @@ def nominal_fit(swims: Sequence[Segments], robot: Robot) -> Baseline:
         raise InputError(
             "no period of the runs has fixes all along: record runs with position fixes, times in seconds"
         )
-    fitted = best_noise(reestimated_noise(model, rollouts, swims), swims, rows)
-    return fitted.model, rows, fitted
-
-
-def folds_of(swims: Sequence[Segments], rows: Bool) -> Int64:
-    """(n,) cross-validation fold of each used period: a run, or a stretch of one where runs are few."""
-    parts = -(-FOLDS_MIN // max(len(swims), 1))
-    labels: list[int] = []
-    for index, swim in enumerate(swims):
-        count = len(swim.start_s)
-        labels += [index * parts + (parts * k) // max(count, 1) for k in range(count)]
-    return np.array(labels, dtype=np.int64)[rows]
+    data = Data(swims, rows)
+    return data, best_noise(reestimated_noise(model, rollouts, swims), data)
 
 
 def search(
-    swims: Sequence[Segments],
-    robot: Robot,
+    data: Data,
+    nominal: Fitted,
     candidates: Sequence[Term],
     progress: TellStage = silent,
-    baseline: Baseline | None = None,
     most: int = MOST,
     columns: Sequence[Column] | None = None,
     laws: Laws | None = None,
@@ -188,24 +165,16 @@ def search(
     """Find the effects that a robot's model lacks.
 
     Args:
-        swims: the runs.
-        robot: nominal.
+        data, nominal: see ``nominal_fit``.
         candidates: the catalogue.
         progress: called with each stage, steps done and to do.
-        baseline: ``nominal_fit`` of these runs, where it is known.
+        most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
         columns: sensitivities of the candidates, where they are known.
         laws: screened beside the candidates, anew in each iteration.
-        most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
-
-    Raises:
-        InputError: no period can be used.
     """
-    model, rows, nominal = baseline or nominal_fit(swims, robot)
     if columns is None:
-        columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
-    folds, replicates = folds_of(swims, rows), replicate_count(swims)
-    selection = _ForwardSelection(swims, rows, folds, columns, replicates, laws)
-    refiner = Refiner(swims, rows, selection.replicate_count)
+        columns = sensitivities(nominal.model, candidates, data, partial(progress, "candidates"))
+    selection, refiner = _ForwardSelection(data, columns, laws), Refiner(data)
     current, iterations = nominal, list[list[CandidateScore]]()
     confounded, runners_up, single_effect_fits = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
     for iteration in range(most):
@@ -229,10 +198,10 @@ def search(
     if len(current.model.terms) > 1:
         current, confounded = revise(refiner, current, confounded, runners_up, single_effect_fits)
     current, confounded = resolve_equivalent(refiner, current, confounded, candidates)
-    (current,) = refresh_jacobian([centred(current, swims, rows)], swims, rows)  # with all parameters
+    (current,) = refresh_jacobian([centred(current, data)], data)  # with all parameters
     progress("effects", most, most)
     confounded_with = [[term.title for term in others] for others in confounded]
-    return Found(nominal, current, iterations, rows, confounded_with, list(columns), confounded)
+    return Found(data, nominal, current, iterations, confounded_with, list(columns), confounded)
 
 
 def _left(nominal: Fitted, fitted: Fitted) -> float:
@@ -243,12 +212,8 @@ def _left(nominal: Fitted, fitted: Fitted) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardSelection:
-    swims: Sequence[Segments]
-    rows: Bool
-    folds: Int64
+    data: Data
     columns: Sequence[Column]
-    replicate_count: int
-    """Runs that are replicates with the same noise: their gain counts once."""
     laws: Laws | None = None
 
     def iterate(
@@ -272,11 +237,8 @@ class _ForwardSelection:
             fixed = current.model.fixed | {known + k for k in candidate.fixed}
             terms = (*current.model.terms, candidate.column.term.at(candidate.values))
             starts.append(replace(current.model, terms=terms, leg_s=REFINING_LEG_S, fixed=fixed))
-        fits = (
-            fit_many(starts, self.swims, self.rows, REFINING_STEPS_MAX, current.jacobian, REFINING_CONVERGED)
-            if starts
-            else []
-        )
+        steps, small = REFINING_STEPS_MAX, REFINING_CONVERGED
+        fits = fit_many(starts, self.data, steps, current.jacobian, small) if starts else []
         judge = partial(self.judged, current, least)
         judged = all_of([partial(judge, *pair) for pair in zip(picked, fits, strict=True)])
         tried = [tried for _, _, tried in judged]
@@ -300,16 +262,13 @@ class _ForwardSelection:
         self, current: Fitted, least: float, candidate: Screened, fitted: Fitted
     ) -> tuple[float, Fitted, CandidateScore]:
         """The score of a fitted candidate (-inf where it is not good enough), its fit, and what to tell."""
-        known, penalty = (
-            len(current.model.values),
-            PARAMETER_PENALTY * (len(candidate.values) - len(candidate.fixed)),
-        )
-        fall = held_out_gain(current, fitted, self.folds, known)
-        score = (current.deviance - fitted.deviance) / self.replicate_count - penalty
+        penalty = PARAMETER_PENALTY * (len(candidate.values) - len(candidate.fixed))
+        fall = held_out_gain(current, fitted, self.data.folds)
+        score = (current.deviance - fitted.deviance) / self.data.replicate_count - penalty
         law = candidate.column.term.name == "law"
         if law and score > max(least, DECISIVE_GAIN) and fall[0] <= max(HELD_OUT_GAIN_MIN, fall[1]):
-            fitted, fall = bent_gain(current, fitted, self.swims, self.rows, self.folds, known)
-            score = (current.deviance - fitted.deviance) / self.replicate_count - penalty
+            fitted, fall = bent_gain(current, fitted, self.data)
+            score = (current.deviance - fitted.deviance) / self.data.replicate_count - penalty
         # The gain of what acts in few periods varies from period to period, as of a limb that seldom fires.
         sure = 1.0 if score > DECISIVE_GAIN else 2.0
         good = score > least and fall[0] > max(HELD_OUT_GAIN_MIN, sure * fall[1])
@@ -318,9 +277,10 @@ class _ForwardSelection:
 
     def chance_gain(self, current: Fitted) -> float:
         """What the best candidate would gain by chance, if none were true."""
-        runs = np.repeat(np.arange(len(self.swims)), [len(swim.start_s) for swim in self.swims])[self.rows]
         candidates = [*(column.jacobian for column in self.columns), *(self.laws.every if self.laws else ())]
-        return gain_by_chance(current.residuals, current.jacobian, candidates, runs, PARAMETER_PENALTY)
+        return gain_by_chance(
+            current.residuals, current.jacobian, candidates, self.data.run, PARAMETER_PENALTY
+        )
 
     def simplest_of(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
         """The simplest of a refined model and the rivals confounded with it, and the others of these.
@@ -330,28 +290,24 @@ class _ForwardSelection:
         if not rivals:
             return taken, []
         starts = [
-            replace(each.model, noise=taken.model.noise, leg_s=fine_leg_s(each.model)) for each in rivals
+            replace(each.model, noise=taken.model.noise, leg_s=each.model.fine_leg_s) for each in rivals
         ]
-        baseline = evaluate(starts, [each.jacobian for each in rivals], self.swims, self.rows)
+        baseline = evaluate(starts, [each.jacobian for each in rivals], self.data)
         # As many steps as a refinement has: after two a rival that does as well may seem 20 worse. A second
         # start has the other terms as they are refined: the rival's own may be in a local minimum.
-        beside = [with_term_at(taken.model, -1, each.model.terms[-1]) for each in rivals]
+        beside = [taken.model.with_term_at(-1, each.model.terms[-1]) for each in rivals]
         own, near = all_of(
             [
-                partial(fit_on, baseline, self.swims, self.rows, STEPS_MAX, tolerance=COMPARED),
-                partial(fit_many, beside, self.swims, self.rows, STEPS_MAX, tolerance=COMPARED),
+                partial(fit_on, baseline, self.data, STEPS_MAX, tolerance=COMPARED),
+                partial(fit_many, beside, self.data, STEPS_MAX, tolerance=COMPARED),
             ]
         )
-        every = [taken, *(min(pair, key=penalised_deviance) for pair in zip(own, near, strict=True))]
-        every.sort(key=penalised_deviance)
-        confounded = [
-            each
-            for each in every
-            if penalised_deviance(each)
-            < penalised_deviance(every[0]) + CONFOUNDED_MARGIN * self.replicate_count
-        ]
-        confounded.sort(key=lambda each: (each.model.terms[-1].name == "law", len(each.model.values)))
-        return confounded[0], [each.model.terms[-1] for each in confounded[1:]]
+        pairs = zip(own, near, strict=True)
+        better = [min(pair, key=lambda each: each.penalised_deviance) for pair in pairs]
+        first, *rest = sorted(
+            equally_good([taken, *better], self.data), key=lambda each: each.model.terms[-1].name == "law"
+        )
+        return first, [each.model.terms[-1] for each in rest]
 
     def relocated(self, current: Fitted, refiner: Refiner, tell: Callable[[str], None]) -> Fitted:
         """The model with each earlier law where it is best beside the effects that came later.
@@ -381,14 +337,12 @@ class _ForwardSelection:
                 )
                 for start in some
             ]
-            fits = all_of(
-                [partial(fit, start, self.swims, self.rows, STEPS_MAX, COMPARED) for _, start in starts]
-            )
-            least = penalised_deviance(current) - CONFOUNDED_MARGIN
+            fits = all_of([partial(fit, start, self.data, STEPS_MAX, COMPARED) for _, start in starts])
+            least = current.penalised_deviance - CONFOUNDED_MARGIN
             better = [
-                (penalised_deviance(fitted), place, fitted)
+                (fitted.penalised_deviance, place, fitted)
                 for (place, _), fitted in zip(starts, fits, strict=True)
-                if penalised_deviance(fitted) < least
+                if fitted.penalised_deviance < least
             ]
             if not better:
                 break
@@ -401,36 +355,23 @@ class _ForwardSelection:
         """The model with the law in one place where it seems best beside the others."""
         assert self.laws is not None
         term = current.model.terms[place]
-        less = fit(without(current.model, place), self.swims, self.rows, steps_max=2)
-        moved = [
-            with_term_at(current.model, place, term.at(screened(less, column, self.replicate_count).values))
-            for column in self.laws.best(less, term.title)
-        ]
-        return [*moved, *self.moments(current, place)]
-
-    def moments(self, current: Fitted, place: int) -> list[Model]:
-        """The model with a law from a moment on at its best other moment, as simulated; none for other laws.
-
-        Derivatives cannot choose it where another law took up what the strokes between two moments lack.
-        """
-        term = current.model.terms[place]
-        moments = self.laws.moments(term.title) if self.laws else ()
+        less = fit(current.model.without(place), self.data, steps_max=2)
+        places = [screened(less, each, self.data).values for each in self.laws.best(less, term.title)]
+        moved = [current.model.with_term_at(place, term.at(values)) for values in places]
+        # Derivatives cannot choose the moment of a law where another law took up what the strokes between two
+        # moments lack.
         own = dict(zip((p.name for p in term.parameters), term.values, strict=True))
-        models = [
-            with_term_at(current.model, place, term.at([*{**own, "at": at}.values()])) for at in moments
+        begun = [
+            current.model.with_term_at(place, term.at([*{**own, "at": at}.values()]))
+            for at in self.laws.moments(term.title)
         ]
-        if not models:
-            return []
-        deviances = [deviance_of(residuals_of(each, self.rows)) for each in rollouts_of(models, self.swims)]
-        return [models[int(np.argmin(deviances))]]
+        return moved + ([begun[int(np.argmin(deviances_of(begun, self.data)))]] if begun else [])
 
     def screen_all(self, current: Fitted) -> list[Screened]:
         """Screen all candidates, best first."""
         taken = {term.title for term in current.model.terms}
         columns = [*self.columns, *(self.laws.best(current)[:LAWS] if self.laws else ())]
-        found = [
-            screened(current, each, self.replicate_count) for each in columns if each.term.title not in taken
-        ]
+        found = [screened(current, each, self.data) for each in columns if each.term.title not in taken]
         found.sort(key=lambda candidate: candidate.column.term.title)
         found.sort(key=lambda candidate: -candidate.score)
         return found

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from frogkick.core.arrays import Bool, Float64, Int64
+from frogkick.core.arrays import AnyArray, Bool, Float64, Int64
 from frogkick.core.errors import InputError
+from frogkick.identification.filter import Filter, Noise, initial_rate_std
 from frogkick.robot import Robot
 from frogkick.runs.recorded.importer import clock_problem, load_run
 from frogkick.runs.runlog import FixFlag, RunLog
@@ -36,6 +38,8 @@ _STILL = 8  # number of fixes at rest that distinguish one camera's noise from a
 
 _UNTIMED = int(FixFlag.UNTRUSTED_TIME | FixFlag.AT_REST)
 _REST_BLOCK_S = 1.0  # means over this time at rest are compared: the noise of the fixes is small in them
+
+FOLDS_MIN = 4
 
 _ABSENT = int(FixFlag.MISSING | FixFlag.DUPLICATE)
 _SPOILED = _ABSENT | int(FixFlag.MISDETECTION | FixFlag.JUMP)
@@ -109,6 +113,19 @@ class Segments:
                 kept.append(time)
         return np.array(kept)
 
+    def states_at_starts(self, noise: Noise) -> Iterator[tuple[float, Float64]]:
+        """Time and covariance (see ``Filter``) of the state of a perfect simulation at each period's start.
+
+        The simulation agrees with all fixes, and those count that have arrived by then.
+        """
+        state = Filter(noise, self.actuated_s, self.begin_s, initial_rate_std(self.rest_rate))
+        order, next_fix = np.argsort(self.arrival_s, kind="stable"), 0
+        for start_s in self.start_s:
+            while next_fix < len(order) and self.arrival_s[order[next_fix]] <= start_s:
+                state.update(float(self.time_s[order[next_fix]]), np.zeros(3))
+                next_fix += 1
+            yield state.time_s, state.covariance
+
     @cached_property
     def measured(self) -> Float64:
         """(m, 3) pose at each period's end, from the fixes around it; NaN if there are too few."""
@@ -140,6 +157,47 @@ class Segments:
             if near.sum() >= 3:
                 return near, np.column_stack([np.ones(near.sum()), self.time_s[near] - at_s])
         return None
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """The runs that models are fitted to.
+
+    Attributes:
+        swims: the runs.
+        rows: (m,) which of all their periods count; n of them do.
+    """
+
+    swims: Sequence[Segments]
+    rows: Bool
+
+    def used(self, parts: Iterable[ArrayLike]) -> AnyArray:
+        """(n, ...) values of the periods that count, from the (m_k, ...) values of each run's periods."""
+        return np.asarray(np.concatenate([*parts])[self.rows])
+
+    @cached_property
+    def run(self) -> Int64:
+        """(n,) index of the run of each period."""
+        return self.used(np.full(len(swim.start_s), k) for k, swim in enumerate(self.swims))
+
+    @cached_property
+    def order(self) -> Int64:
+        """(n,) number of each period in its run."""
+        return self.used(np.arange(len(swim.start_s)) for swim in self.swims)
+
+    @cached_property
+    def folds(self) -> Int64:
+        """(n,) cross-validation fold of each period: a run, or a stretch of one where runs are few."""
+        parts = -(-FOLDS_MIN // max(len(self.swims), 1))
+        counts = [len(swim.start_s) for swim in self.swims]
+        return self.used(
+            index * parts + parts * np.arange(count) // max(count, 1) for index, count in enumerate(counts)
+        )
+
+    @cached_property
+    def replicate_count(self) -> int:
+        """Runs that are replicates with the same noise: their gain counts once."""
+        return replicate_count(self.swims)
 
 
 def read_segments(path: Path | str, robot: Robot | None = None) -> Segments:

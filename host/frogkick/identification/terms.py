@@ -9,7 +9,7 @@ from typing import Any
 
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
-from frogkick.effects import BUILT_IN, Effect, Parameter
+from frogkick.effects import BUILT_IN, Effect, Law, Parameter
 from frogkick.effects.registry import effect_classes, make_effect
 from frogkick.effects.water import OUTWARD
 from frogkick.robot import Robot
@@ -97,6 +97,15 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
 def _term(table: Mapping[str, Any], folder: Path, kind: type) -> Term:
     parameters = tuple(getattr(kind, "parameters", ()))
     return Term(tuple(table.items()), folder, parameters, tuple(p.nominal for p in parameters))
+
+
+def law_term(
+    title: str, table: Mapping[str, str], parameters: Mapping[str, Any], values: Sequence[float]
+) -> Term:
+    """The term of a law: ``on``, ``limb`` and the formulas, declared parameters and their values."""
+    given: dict[str, Any] = {"title": title, **table, "parameters": parameters}
+    declared = Law(**given).parameters
+    return Term((("name", "law"), *given.items()), Path(), declared, tuple(float(v) for v in values))
 
 
 def _options(kind: type, robot: Robot) -> list[dict[str, Any]]:

@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 
 from frogkick import der
-from frogkick.core.arrays import Bool, Float64, Int64
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.bootstrap import CONFIDENCE, mean_interval, moved_by, standard_errors
 from frogkick.identification.calibrated import end_errors, end_residuals
-from frogkick.identification.filter import Filter, Noise, initial_rate_std
+from frogkick.identification.filter import Noise
 from frogkick.identification.fit import DIVERGED, Fitted, residuals_of, rollouts_of
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found
-from frogkick.identification.segments import ACTUATION_S, Segments, replicate_count
+from frogkick.identification.segments import ACTUATION_S, Data, Segments, replicate_count
 from frogkick.identification.steps import log_density, scale_of
 
 NOTHING, FOUND, PARTLY = "nothing missing", "found", "partly explained"
@@ -123,18 +123,13 @@ def noise_floor(swims: Sequence[Segments], fix: tuple[float, float]) -> Predicti
     """
     noise = Noise(fix, (0.0, 0.0), (0.0, 0.0))
     sums, count = np.zeros(3), 0
+    variances = noise.per_axis()[0]
     for swim in swims:
-        state = Filter(noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
-        variances = noise.per_axis()[0]
-        order, next_fix = np.argsort(swim.arrival_s, kind="stable"), 0
-        for start_s, end_s, share in zip(swim.start_s, swim.end_s, swim.end_noise, strict=True):
-            while next_fix < len(order) and swim.arrival_s[order[next_fix]] <= start_s:
-                state.update(float(swim.time_s[order[next_fix]]), np.zeros(3))
-                next_fix += 1
+        states = swim.states_at_starts(noise)
+        for end_s, share, (time_s, p) in zip(swim.end_s, swim.end_noise, states, strict=True):
             if not np.isfinite(share):
                 continue
-            ahead = end_s - state.time_s
-            p = state.covariance
+            ahead = end_s - time_s
             sums += p[:, 0] + 2.0 * ahead * p[:, 1] + ahead**2 * p[:, 2] + share * variances
             count += 1
     variance = sums / max(count, 1)
@@ -198,23 +193,17 @@ class Gain:
 
 def log_score_gain(
     found: Found,
-    train: Sequence[Segments],
+    swims: Sequence[Segments],
     before: Sequence[Rollout],
     after: Sequence[Rollout],
-    swims: Sequence[Segments],
     raw: tuple[Sequence[Segments], Sequence[Segments]],
 ) -> Gain:
-    """Log score gain of the measured ends of periods, paired by period.
+    """Log score gain of the measured ends of periods, paired by period; for the arguments see ``scored``.
 
-    Args:
-        found: the model; where limbs misfire its density is a mixture.
-        train: runs that the scales of the Student-t densities without and with effects are told by: a model
-            is also judged by the spread that it predicts.
-        before, after: of the runs, without and with effects.
-        swims: the runs.
-        raw: see ``scored``.
+    The scales of the Student-t densities without and with effects are told by the training runs: a model is
+    also judged by the spread that it predicts. Where limbs misfire the density is a mixture.
     """
-    models = ((found.nominal, raw[0]), (found.fitted, train))
+    models = ((found.nominal, raw[0]), (found.fitted, found.data.swims))
     scales = [scale_of(end_residuals(each.rollouts, runs)) for each, runs in models]
     pairs = [
         [end_errors(one, plain), end_errors(other, swim)]
@@ -258,61 +247,42 @@ class Interval:
         return self.low - more <= value <= self.high + more
 
 
-def discretisation_shift(fitted: Fitted, swims: Sequence[Segments], rows: Bool) -> Float64:
+def discretisation_shift(fitted: Fitted, data: Data) -> Float64:
     """(p,) shift of the parameters due to discretisation: with steps as short as the simulated pool's.
 
-    Args:
-        fitted: a model at its best, with derivatives by all its parameters.
-        swims: the runs that it was fitted to.
-        rows: which of all their periods ``fitted.residuals`` has.
+    The model is at its best, with derivatives by all its parameters.
     """
     if not fitted.jacobian.shape[2]:
         return np.empty(0)
     fine = replace(fitted.model, step_s=der.STEP_S, leg_s=LEG_S)
-    change = residuals_of(rollouts_of([fine], swims)[0], rows) - fitted.residuals
+    change = residuals_of(rollouts_of([fine], data.swims)[0], data.rows) - fitted.residuals
     change[(np.abs(change) > 0.5 * DIVERGED).any(axis=1)] = 0.0  # one of both simulations failed
-    return moved_by(change, fitted.residuals, fitted.jacobian, fitted.model.range)
+    return moved_by(change, fitted.residuals, fitted.jacobian, fitted.model.reach)
 
 
-def intervals(fitted: Fitted, rows: Bool | None = None, bias: Float64 | None = None) -> list[list[Interval]]:
+def intervals(fitted: Fitted, data: Data, bias: Float64 | None = None) -> list[list[Interval]]:
     """Intervals of each term's parameters: each contains its true value with probability CONFIDENCE.
 
     Args:
         fitted: a model at its best, with derivatives by all its parameters.
-        rows: which periods of all runs ``fitted.residuals`` has; None: all of them.
+        data: the runs that it was fitted to.
         bias: (p,) bias besides chance, see ``discretisation_shift``; None: none.
     """
     from scipy import stats
 
-    width = fitted.jacobian.shape[2]
+    model, width = fitted.model, fitted.jacobian.shape[2]
     if not width:
         return []
-    deviation = standard_errors(fitted.residuals, fitted.jacobian, fitted.model.range, _runs_of(fitted, rows))
+    deviation = standard_errors(fitted.residuals, fitted.jacobian, model.reach, data.run)
     wide = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(len(fitted.residuals) - width, 1))
-    found, first = [], 0
-    for term in fitted.model.terms:
-        row = []
-        for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
-            steps = 0.0 if bias is None else bias[first + k]
-            half_width = math.hypot(wide * deviation[first + k], steps, parameter.tolerance)
-            row.append(
-                Interval(
-                    parameter.name,
-                    value,
-                    max(parameter.low, value - half_width),
-                    min(parameter.high, value + half_width),
-                    parameter.unit,
-                )
-            )
-        first += len(term.values)
-        found.append(row)
-    return found
 
+    def interval(k: int) -> Interval:
+        parameter, value = model.parameters[k], float(model.values[k])
+        half_width = math.hypot(wide * deviation[k], 0.0 if bias is None else bias[k], parameter.tolerance)
+        low, high = max(parameter.low, value - half_width), min(parameter.high, value + half_width)
+        return Interval(parameter.name, value, low, high, parameter.unit)
 
-def _runs_of(fitted: Fitted, rows: Bool | None) -> Int64:
-    """(n,) the run that each period of ``fitted.residuals`` belongs to."""
-    labels = np.repeat(np.arange(len(fitted.rollouts)), [len(rollout.start) for rollout in fitted.rollouts])
-    return labels if rows is None else labels[rows]
+    return [[interval(k) for k in model.indices(place)] for place in range(len(model.terms))]
 
 
 def within_noise(error: PredictionError, floor: PredictionError, before: PredictionError) -> bool:
@@ -380,7 +350,6 @@ class Scored:
 
 def scored(
     found: Found,
-    train: Sequence[Segments],
     swims: Sequence[Segments],
     before: Sequence[Rollout],
     after: Sequence[Rollout],
@@ -389,13 +358,13 @@ def scored(
     """Evaluate both models on runs; replicates with the same noise count once.
 
     Args:
-        found: by the search.
-        train: the training runs: noise of fixes and spread of predictions are estimated from them.
+        found: by the search; noise of fixes and spread of predictions are estimated from its training runs.
         swims: the runs to judge.
         before, after: their rollouts without and with effects.
         raw: the training runs and those to judge as they are, which ``before`` is held against, where fixes
             that jumped were taken out; None if none were.
     """
+    train = found.data.swims
     raw = raw or (train, swims)
     errors = [PredictionError.of(prediction_errors(*pair)) for pair in ((before, raw[1]), (after, swims))]
     one_noise = replicate_count(swims)
@@ -403,7 +372,7 @@ def scored(
     floor = noise_floor(swims, fix_noise([*train]) or fix_noise(swims) or found.fitted.model.noise.fix)
     gain = None
     if found.fitted.model.terms:
-        gain = log_score_gain(found, train, before, after, swims, raw)
+        gain = log_score_gain(found, swims, before, after, raw)
     chance = found.misfires is not None
     return Scored(first, second, floor, gain, repeatability(after, swims, floor), chance)
 

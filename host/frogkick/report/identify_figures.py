@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from frogkick.core.arrays import Float64
 from frogkick.core.poses import PredictionError
+from frogkick.identification.fit import EFFECT_PENALTY
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.penalty import EFFECT_PENALTY
 from frogkick.identification.search import CandidateScore
 from frogkick.report import style
 from frogkick.report.identify_residuals import Residuals, by_limb

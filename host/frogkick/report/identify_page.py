@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from frogkick.core.poses import PredictionError
 from frogkick.identification.choice import STABLE
+from frogkick.identification.fit import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.refine import RELEASE_PENALTY
 from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN
 from frogkick.identification.segments import Segments

@@ -17,12 +17,13 @@ from frogkick.core.files import write_bytes
 from frogkick.report import style
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
-from frogkick.validation.paper_winners import PAPER_PHASE, Verdict
 from frogkick.validation.sweep import (
+    PAPER_PHASE,
     PHASE_TIE_MPS,
     Design,
     Point,
     Sweep,
+    Verdict,
     by_cost,
     by_speed,
     energy_model,

@@ -15,11 +15,11 @@ from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
 from frogkick.validation.gaits import CYCLES, FIRST_CYCLE
 from frogkick.validation.measured import EXPERIMENTS, SIMULATIONS
-from frogkick.validation.noise import Noise
 from frogkick.validation.validate import (
     SPEED_LIMITS_MPS,
     WITHIN_CYCLE_LIMIT_M,
     ExperimentResult,
+    Noise,
     Requirement,
     SimulationResult,
     Validation,

@@ -62,14 +62,6 @@ class Skipped:
 
 
 @dataclass(frozen=True)
-class Swim:
-    """A measured swim: (n,) times, s, and distances along its track, m."""
-
-    time_s: Float64
-    distance_m: Float64
-
-
-@dataclass(frozen=True)
 class SteadySpeed:
     """The speed of a measured swim.
 
@@ -109,15 +101,11 @@ def _number(text: str) -> float:
     return float(text.lower().replace("dot", "."))
 
 
-def _simulation_gait(relative: str) -> Gait | None:
-    found = _SIMULATION.fullmatch(relative.rsplit("/", 1)[-1])
-    if found is None:
-        return None
-    phase, frequency, egain = map(_number, found.groups())
-    return Gait(egain, frequency, phase)
-
-
-def _experiment_gait(relative: str) -> Gait | None:
+def _gait_of(relative: str) -> Gait | None:
+    """The gait that a file's name says; None if it says none."""
+    if found := _SIMULATION.fullmatch(relative.rsplit("/", 1)[-1]):
+        phase, frequency, egain = map(_number, found.groups())
+        return Gait(egain, frequency, phase)
     if found := _FREQUENCY.search(relative):
         return Gait(_number(found[1]), _number(found[2]), _FREQUENCY_SWEEP_PHASE)
     if found := _PHASE.search(relative):
@@ -149,13 +137,10 @@ def find_cases(folder: Path) -> tuple[list[Case], list[Skipped]]:
         raise InputError(f"data folder {str(folder)!r} does not exist: name the one that holds sim/ and exp/")
     cases: list[Case] = []
     skipped: list[Skipped] = []
-    for kind, top, pattern, gait_of in (
-        (SIMULATIONS, "sim", "*.txt", _simulation_gait),
-        (EXPERIMENTS, "exp", "*.mat", _experiment_gait),
-    ):
+    for kind, top, pattern in ((SIMULATIONS, "sim", "*.txt"), (EXPERIMENTS, "exp", "*.mat")):
         for file in sorted((folder / top).rglob(pattern)):
             relative = file.relative_to(folder).as_posix()
-            gait = gait_of(relative)
+            gait = _gait_of(relative)
             if gait is None or not (gait.frequency_hz > 0.0 and 0.0 <= gait.phase < 1.0):
                 skipped.append(Skipped(relative, "its name says no EGaIn fraction, frequency and phase"))
             else:
@@ -186,8 +171,8 @@ def read_simulation(path: Path) -> tuple[Float64, Float64]:
     return rows[:, 0], rows[:, 2]
 
 
-def read_swim(path: Path) -> Swim:
-    """Read a measured swim.
+def read_swim(path: Path) -> tuple[Float64, Float64]:
+    """Read a measured swim: (n,) times, s, and distances along its track, m.
 
     Raises:
         InputError: not a MATLAB file, without ``t`` and ``distance``, or not two equal finite rows.
@@ -202,20 +187,20 @@ def read_swim(path: Path) -> Swim:
         )
     if not (np.diff(time_s) > 0.0).all():
         raise InputError(f"swim {path.name!r} has times that do not increase: export it again")
-    return Swim(time_s, distance_m)
+    return time_s, distance_m
 
 
-def steady_speed(swim: Swim, frequency_hz: float) -> SteadySpeed:
+def steady_speed(time_s: Float64, distance_m: Float64, frequency_hz: float) -> SteadySpeed:
     """Return the speed of a measured swim and its standard error.
 
     The standard error comes from the scatter between cycles; it does not contain the differences between
     swims.
     """
-    slope = float(np.polyfit(swim.time_s, swim.distance_m, 1)[0])
-    lasts_s = float(swim.time_s[-1] - swim.time_s[0])
+    slope = float(np.polyfit(time_s, distance_m, 1)[0])
+    lasts_s = float(time_s[-1] - time_s[0])
     cycles = int(lasts_s * frequency_hz + 1e-6)
-    ends_s = swim.time_s[0] + np.arange(cycles + 1) / frequency_hz
-    speeds = np.diff(np.interp(ends_s, swim.time_s, swim.distance_m)) * frequency_hz
+    ends_s = time_s[0] + np.arange(cycles + 1) / frequency_hz
+    speeds = np.diff(np.interp(ends_s, time_s, distance_m)) * frequency_hz
     sd = float(speeds.std(ddof=1) / np.sqrt(cycles)) if cycles >= 2 else None
     return SteadySpeed(slope, sd, cycles)
 

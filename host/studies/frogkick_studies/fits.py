@@ -24,8 +24,7 @@ import numpy as np
 
 from frogkick.core.arrays import Bool, Float64
 from frogkick.robot import Robot
-from frogkick.validation.noise import Noise, noise_of
-from frogkick.validation.validate import ExperimentResult, Validation, root_mean_square
+from frogkick.validation.validate import ExperimentResult, Noise, Validation, noise_of, root_mean_square
 from frogkick.validation.validate import validate as run_validation
 from frogkick_studies.steady import (
     CANDIDATES,

@@ -211,7 +211,7 @@ def _drawn(
 
 def over_floor(train: Sequence[Segments], test: Sequence[Segments], robot: Robot) -> float:
     """By how many noise floors the nominal model misses test runs in position, as identification will say."""
-    nominal = nominal_fit(train, robot)[2].model
+    nominal = nominal_fit(train, robot)[1].model
     before = PredictionError.of(prediction_errors(rollouts_of([nominal], test)[0], test))
     floor = noise_floor(test, fix_noise(train) or fix_noise(test) or nominal.noise.fix)
     return before.position_rmse_m / floor.position_rmse_m

@@ -13,17 +13,20 @@ from frogkick.identification.experiment import (
     DECISIVE_SIGMA,
     POOL_M,
     WIDE,
+    ActionSequence,
     Experiment,
     ModelPair,
+    Side,
     experiment_of,
+    extend,
     open_pairs,
     plan,
     pool_of,
+    segments_of_sequence,
     separation,
 )
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Fitted, Model, fit, residuals_of, rollouts_of
-from frogkick.identification.paired import ActionSequence, Side, extend, segments_of_sequence
 from frogkick.identification.search import Found
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import whitener

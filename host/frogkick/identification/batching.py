@@ -41,7 +41,7 @@ def roll_out(lanes: Sequence[Lane]) -> list[Rollout]:
     if len(parts) < 2:
         return predict.roll_out(lanes)
     # The processes are forks, which have the lanes already: a formula could not be sent to them.
-    job = Job(_Parts, (lanes,), _Parts.roll_out, lambda _parts: None)
+    job = Job(lambda given: given, (lanes,), _rolled_out, lambda _lanes: None)
     rollouts: dict[int, Rollout] = {}
     for part, some in run_chunks(job, parts, len(parts)):
         rollouts.update(zip(parts[part], some, strict=True))
@@ -75,15 +75,9 @@ def _parts(lanes: Sequence[Lane], count: int) -> list[list[int]]:
     return [part for part in parts if part]
 
 
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """The lanes of a request, of which each process rolls out a part."""
-
-    lanes: Sequence[Lane]
-
-    def roll_out(self, part: Sequence[int]) -> list[Rollout]:
-        """Roll out the lanes with these indices."""
-        return predict.roll_out([self.lanes[index] for index in part])
+def _rolled_out(lanes: Sequence[Lane], part: Sequence[int]) -> list[Rollout]:
+    """Roll out those of the lanes with these indices."""
+    return predict.roll_out([lanes[index] for index in part])
 
 
 def cpu_s() -> float:
@@ -106,10 +100,6 @@ def run_concurrently(
     """Run pieces of work concurrently; yield (index, result) as they end.
 
     An exception in one of them is raised here; the others are then abandoned.
-
-    Args:
-        work: each calls ``roll_out`` as often as it likes.
-        threads_max: number of threads.
     """
     rendezvous = _Rendezvous(list(enumerate(work)))
     threads = [
@@ -144,17 +134,11 @@ class _Request:
 
 @dataclass(eq=False)
 class _Rendezvous:
-    """Where threads wait until all of them have a request.
+    """Where threads wait until all of them have a request."""
 
-    Attributes:
-        work: pieces that are not begun.
-        busy: number of threads that neither wait nor have ended.
-        own_s: processor time of the threads that have ended, without simulations.
-    """
-
-    work: list[tuple[int, Callable[[], object]]]
-    busy: int = 0
-    own_s: float = 0.0
+    work: list[tuple[int, Callable[[], object]]]  # that is not begun
+    busy: int = 0  # threads that neither wait nor have ended
+    own_s: float = 0.0  # processor time of the threads that have ended, without simulations
     _waiting: list[_Request] = field(default_factory=list)
     _done: list[tuple[int, object]] = field(default_factory=list)
     _error: BaseException | None = None

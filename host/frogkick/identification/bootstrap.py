@@ -61,11 +61,7 @@ def _resampled(runs: Sequence[Float64], rng: np.random.Generator) -> Float64:
 def drawn_periods(runs: Int64, rng: np.random.Generator) -> Int64:
     """(n,) rows of a resample of periods: circular blocks of BLOCK of each run, drawn with replacement.
 
-    Args:
-        runs: (n,) the run that each period belongs to; the periods of a run are in order.
-        rng: generator.
-
-    Source: Politis, Romano 1992.
+    The periods of a run are in order. Source: Politis, Romano 1992.
     """
     drawn = []
     for run in np.unique(runs):
@@ -86,8 +82,7 @@ def standard_errors(residuals: Float64, jacobian: Float64, scale: Float64, runs:
     is too large by n / (n - d - 1), and what is weighted by it scatters more by (n - 1) / (n - d).
 
     Args:
-        residuals: (n, d) residuals of periods.
-        jacobian: (n, d, p) derivatives of these by the parameters.
+        residuals, jacobian: (n, d) of periods, and (n, d, p) their derivatives by the parameters.
         scale: (p,) typical sizes of the parameters.
         runs: (n,) the run that each period belongs to; the periods of a run are in order.
 
@@ -114,11 +109,9 @@ def standard_errors(residuals: Float64, jacobian: Float64, scale: Float64, runs:
 
 
 def _at_best(whitened: Float64, columns: Float64) -> tuple[Float64, Float64]:
-    """(n,) weights of whitened residuals, and (p, p) the inverse of the log likelihood's curvature.
+    """(n,) weights of (n, d) whitened residuals, and (p, p) the inverse of the log likelihood's curvature.
 
-    Args:
-        whitened: (n, d) whitened.
-        columns: (n, d, p) derivatives of these by the parameters, in typical sizes.
+    ``columns`` (n, d, p) are their derivatives by the parameters, in typical sizes.
     """
     dimensions, width = columns.shape[1:]
     weight = (DOF + dimensions) / (DOF + (whitened**2).sum(axis=1))
@@ -135,9 +128,7 @@ def _at_best(whitened: Float64, columns: Float64) -> tuple[Float64, Float64]:
 def moved_by(change: Float64, residuals: Float64, jacobian: Float64, scale: Float64) -> Float64:
     """(p,) shift of the fitted parameters by a change of the residuals, to first order (influence function).
 
-    Args:
-        change: (n, d) of ``residuals``.
-        residuals, jacobian, scale: see ``standard_errors``.
+    For the arguments see ``standard_errors``.
     """
     size = np.maximum(scale, 1e-12)
     white = whitener(residuals)
@@ -159,11 +150,11 @@ def gain_by_chance(
     and the number of candidates are those of the runs themselves.
 
     Args:
-        residuals: (n, d) residuals of the model that is compared with.
-        jacobian: (n, d, q) derivatives of these by its own parameters, which stay free.
+        residuals, jacobian: (n, d) of the model that is compared with, and (n, d, q) their derivatives by its
+            own parameters, which stay free.
         candidates: (n, d, p) derivatives of these by each candidate's parameters.
-        runs: (n,) the run that each period belongs to; the periods of a run are in order.
-        penalty: penalty of each parameter.
+        runs: (n,) see ``standard_errors``.
+        penalty: of each parameter.
 
     Source: Freedman, Lane 1983 (residuals under the reduced model); Wu 1986 (wild bootstrap); Bartlett 1938
     (correction for few rows).

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.core.arrays import Float64
-from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.effects import Effect
 from frogkick.effects.registry import effects_of
 from frogkick.identification.filter import Noise
@@ -186,9 +185,7 @@ def end_residuals(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Flo
 
 def end_errors(rollout: Rollout, swim: Segments) -> Float64:
     """(m, 3) residuals at the ends of a run's periods, by the pose at their starts; NaN if unknown."""
-    gap = swim.measured - rollout.predicted
-    gap[:, 2] = wrap_angle(gap[:, 2])
-    ends = body_from_world(rollout.start[:, 2], gap)
+    ends = rollout.end_errors(swim)
     if rollout.failed:
         seen = np.asarray(np.isfinite(swim.measured).all(axis=1))
         ends[:] = np.where(seen[:, None], DIVERGED[:3], np.nan)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frogkick.core.arrays import Float64
-from frogkick.core.poses import body_from_world, world_from_body, wrap_angle
+from frogkick.core.poses import world_from_body
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
@@ -45,9 +45,9 @@ class Drift:
         huber_sigma: (3,) clipping threshold of innovations, in that size.
     """
 
-    size: tuple[float, float, float]
-    random_walk: tuple[float, float, float]
-    huber_sigma: tuple[float, float, float]
+    size: tuple[float, ...]
+    random_walk: tuple[float, ...]
+    huber_sigma: tuple[float, ...]
 
     def as_json(self) -> dict[str, list[float]]:
         """The key ``drift`` of the command."""
@@ -56,25 +56,21 @@ class Drift:
     def followed(self, rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robot) -> list[Rollout]:
         """Rollouts whose predictions add the offsets that are known at each period's start."""
         return [
-            replace(rollout, predicted=_moved(rollout, self._offsets(rollout, swim, robot)))
+            replace(
+                rollout,
+                predicted=rollout.predicted
+                + world_from_body(rollout.start[:, 2], self._offsets(rollout, swim, robot)),
+            )
             for rollout, swim in zip(rollouts, swims, strict=True)
         ]
 
     def _offsets(self, rollout: Rollout, swim: Segments, robot: Robot) -> Float64:
         """(m, 3) predicted offset at the end of each period, by the pose at its start."""
-        firing, observed = firing_of(swim, robot), rollout.residuals[:, -3:]
-        return np.column_stack(
-            [
-                filter_offsets(
-                    observed[:, axis] / self.size[axis],
-                    firing,
-                    self.random_walk[axis],
-                    self.huber_sigma[axis],
-                )
-                * self.size[axis]
-                for axis in range(3)
-            ]
-        )
+        firing, columns = firing_of(swim, robot), []
+        numbers = zip(rollout.residuals[:, -3:].T, self.size, self.random_walk, self.huber_sigma, strict=True)
+        for observed, size, walk, huber_sigma in numbers:
+            columns.append(filter_offsets(observed / size, firing, walk, huber_sigma) * size)
+        return np.column_stack(columns)
 
 
 def firing_of(swim: Segments, robot: Robot) -> Float64:
@@ -110,14 +106,9 @@ def filter_offsets(observed: Float64, firing: Float64, random_walk: float, huber
     return expected
 
 
-def _moved(rollout: Rollout, offsets: Float64) -> Float64:
-    """(m, 3) predictions plus offsets that are given by the pose at each period's start."""
-    return rollout.predicted + world_from_body(rollout.start[:, 2], offsets)
-
-
 def drift_of(rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robot) -> Drift | None:
     """Drift of the limbs in the training runs; None if tracking it gains next to nothing there."""
-    residuals = [_end_residuals(rollout, swim) for rollout, swim in zip(rollouts, swims, strict=True)]
+    residuals = [rollout.end_errors(swim) for rollout, swim in zip(rollouts, swims, strict=True)]
     observed = [rollout.residuals[:, -3:] for rollout in rollouts]
     firing = [firing_of(swim, robot) for swim in swims]
     every = np.concatenate(residuals)
@@ -140,21 +131,9 @@ def drift_of(rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robo
                     random_walk[axis], huber_sigmas[axis], best = walk, huber_sigma, left
     if not any(random_walk):
         return None
-    sizes = (float(size[0]), float(size[1]), float(size[2]))
-    return Drift(
-        sizes,
-        (random_walk[0], random_walk[1], random_walk[2]),
-        (huber_sigmas[0], huber_sigmas[1], huber_sigmas[2]),
-    )
+    return Drift(tuple(size.tolist()), tuple(random_walk), tuple(huber_sigmas))
 
 
 def _square(residuals: Sequence[Float64], axis: int, expected: Sequence[Float64]) -> float:
     errors = [each[:, axis] - offset for each, offset in zip(residuals, expected, strict=True)]
     return float(np.nansum(np.concatenate(errors) ** 2))
-
-
-def _end_residuals(rollout: Rollout, swim: Segments) -> Float64:
-    """(m, 3) measured minus predicted pose at each period's end: forward, left (m), heading (rad)."""
-    gap = swim.measured - rollout.predicted
-    gap[:, 2] = wrap_angle(gap[:, 2])
-    return body_from_world(rollout.start[:, 2], gap)

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 
 from frogkick.core.arrays import Float64
-from frogkick.core.poses import rotate
+from frogkick.core.poses import body_from_world, rotate, wrap_angle
 from frogkick.der import WIDTH, Batch, Checkpoint, Rods, prepare
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
@@ -68,6 +68,12 @@ class Rollout:
     start: Float64
     residuals: Float64
     failed: bool
+
+    def end_errors(self, swim: Segments) -> Float64:
+        """(m, 3) measured minus predicted pose at each period's end, by the pose at its start."""
+        gap = swim.measured - self.predicted
+        gap[:, 2] = wrap_angle(gap[:, 2])
+        return body_from_world(self.start[:, 2], gap)
 
     def series(self, swim: Segments) -> tuple[Series, ...]:
         """The series that noise is fitted to, for x, y and heading."""
@@ -282,7 +288,9 @@ class RolloutBatch:
             unbroken = differences + lane_state.moved[:, 0] + true_s[:, None] * lane_state.moved[:, 1]
             lane_state.rows.append((true_s, innovations, variances, unbroken))
         if ended >= 0:
-            residuals[ended] = _phase_residuals(swim, ended, times_s, differences, float(start[ended, 2]))
+            length_s = float(swim.end_s[ended] - swim.start_s[ended])
+            share = (times_s - float(swim.start_s[ended])) / length_s
+            residuals[ended] = phase_residuals(differences, share, float(start[ended, 2]))
         offset, rate = lane_state.filter.reset(at_s)
         lane_state.moved[:, 0] += offset - at_s * rate
         lane_state.moved[:, 1] += rate
@@ -306,16 +314,16 @@ class RolloutBatch:
     def _camera_fixes(self, lane_state: LaneState, times_s: Float64) -> tuple[Float64, Float64]:
         """(n,) true capture times of fixes with these stated times, and (n, 3) the poses that they show."""
         if not lane_state.camera_effects:
-            return times_s, _interpolated(lane_state.times, lane_state.poses, times_s)
+            return times_s, interpolated(lane_state.times, lane_state.poses, times_s)
         every = [self.camera_fix_at(lane_state, float(time_s)) for time_s in times_s]
         return np.array([true_s for true_s, _ in every]), np.array([pose for _, pose in every])
 
     def camera_fix_at(self, lane_state: LaneState, time_s: float) -> tuple[float, Float64]:
         """True capture time of a fix with the stated time ``time_s``, and the pose that it shows."""
-        pose = _interpolated(lane_state.times, lane_state.poses, np.array([time_s]))[0]
+        pose = interpolated(lane_state.times, lane_state.poses, np.array([time_s]))[0]
         true_s, shown = _camera_fix(lane_state.camera_effects, time_s, pose)
         if true_s != time_s:
-            pose = _interpolated(lane_state.times, lane_state.poses, np.array([true_s]))[0]
+            pose = interpolated(lane_state.times, lane_state.poses, np.array([true_s]))[0]
             _, shown = _camera_fix(lane_state.camera_effects, true_s, pose)
         return true_s, shown
 
@@ -344,12 +352,8 @@ class RolloutBatch:
         )
 
 
-def _phase_residuals(
-    swim: Segments, period: int, times_s: Float64, gaps: Float64, heading_rad: float
-) -> Float64:
-    """(9,) residuals of a period; see Rollout.residuals."""
-    start_s, length_s = float(swim.start_s[period]), float(swim.end_s[period] - swim.start_s[period])
-    share = (times_s - start_s) / length_s
+def phase_residuals(gaps: Float64, share: Float64, heading_rad: float) -> Float64:
+    """(9,) residuals of a period, from (n, 3) gaps at (n,) shares of it; see Rollout.residuals."""
     found: list[float] = []
     for low, high in PHASES:
         rows = gaps[(low <= share) & (share < high)]
@@ -360,7 +364,7 @@ def _phase_residuals(
     return np.array(found)
 
 
-def _interpolated(times: Float64, poses: Float64, at_s: Float64) -> Float64:
+def interpolated(times: Float64, poses: Float64, at_s: Float64) -> Float64:
     """(n, 3) poses of a trajectory at times, constant beyond its ends."""
     if not len(times):
         return np.full((len(at_s), 3), np.nan)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,13 +45,7 @@ class Horizon:
 def horizons_of(
     nominal: Model, fitted: Model, swims: Sequence[Segments], ahead: Sequence[int] = HORIZONS
 ) -> list[Horizon]:
-    """Errors of both models by horizon, without horizons that no run is long enough for.
-
-    Args:
-        nominal, fitted: models.
-        swims: the runs.
-        ahead: periods.
-    """
+    """Errors of both models some periods ahead, without horizons that no run is long enough for."""
     every = -(-sum(len(swim.start_s) for swim in swims) // STARTS_MOST)
     models = (nominal, fitted)
     ends = roll_out_ahead([model.lane(swim) for model in models for swim in swims], ahead, every)
@@ -106,14 +101,9 @@ def roll_out_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) 
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """State of a lane when a period began.
+    """State of a lane when a period began, with a history of strokes of its own.
 
-    Attributes:
-        index: index of the lane in its batch.
-        period: which.
-        checkpoint: its robot's.
-        lane_state: its state, with a history of strokes of its own.
-        ends_s: ends of this period and of those that follow it directly.
+    ``ends_s`` are the ends of this period and of those that follow it directly.
     """
 
     index: int
@@ -137,12 +127,11 @@ class _StartRecorder(RolloutBatch):
         index = self.slots[slot]
         lane_state, swim = self.lane_states[index], self.lanes[index].swim
         last = period
-        while (
-            last + 1 < min(len(swim.start_s), period + self._longest)
-            and abs(swim.start_s[last + 1] - swim.end_s[last]) < 1e-6
-        ):
+        until = min(len(swim.start_s), period + self._longest)
+        while last + 1 < until and abs(swim.start_s[last + 1] - swim.end_s[last]) < 1e-6:
             last += 1
-        own_state = replace(lane_state, acting=lane_state.acting.copy())
+        own_state = copy(lane_state)
+        own_state.acting = lane_state.acting.copy()
         self.starts.append(
             _Start(index, period, self.batch.save(slot), own_state, swim.end_s[period : last + 1])
         )

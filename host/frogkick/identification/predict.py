@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -116,24 +116,40 @@ def lanes_by_body(lanes: Sequence[Lane]) -> Iterator[tuple[list[int], Robot]]:
 
 @dataclass(eq=False)
 class LaneState:
-    """State of one lane on its way through its run."""
+    """State of one lane on its way through its run; for its predictions see Rollout."""
 
     lane: Lane
     acting: ActingLanes
-    filter: Filter
-    segment_times_s: Float64
-    corrected_s: list[float] = field(default_factory=list)
-    next_fix: int = 0
-    next_stroke: int = 0
-    times: Float64 = field(default_factory=lambda: np.empty(0))
-    poses: Float64 = field(default_factory=lambda: np.empty((0, 3)))
-    moved: Float64 = field(default_factory=lambda: np.zeros((3, 2)))  # all corrections, as of time 0
-    rows: list[tuple[Float64, Float64, Float64, Float64]] = field(default_factory=list)
-    next_segment: int = 0
-    failed: bool = False
 
     def __post_init__(self) -> None:
+        swim = self.lane.swim
+        periods = len(swim.start_s)
+        self.filter = Filter(self.lane.noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
         self.camera_effects = [effect for effect in self.lane.effects if type(effect).fix is not Effect.fix]
+        self.corrected_s = [swim.begin_s]
+        self.next_fix = int(np.searchsorted(swim.time_s, swim.begin_s))
+        self.next_stroke = self.next_segment = 0
+        self.times, self.poses = np.empty(0), np.empty((0, 3))
+        self.moved = np.zeros((3, 2))  # all corrections, as of time 0
+        self.predicted, self.predicted_std = np.full((periods, 3), np.nan), np.full((periods, 3), np.nan)
+        self.start = np.full((periods, 6), np.nan)
+        self.residuals = np.full((periods, 3 * len(PHASES)), np.nan)
+        self.rows = [(np.empty(0), *[np.empty((0, 3))] * 3)]  # of each correction, for Rollout
+        self.failed = False
+
+    @property
+    def segment_end_s(self) -> float:
+        """Where its segment ends; infinite after the last one."""
+        ends = self.lane.swim.segment_times_s
+        return float(ends[self.next_segment]) if self.next_segment < len(ends) else math.inf
+
+    def rollout(self) -> Rollout:
+        """Its prediction, at the end."""
+        columns = [np.concatenate(parts) for parts in zip(*self.rows, strict=True)]
+        if self.failed:
+            columns[1] = np.full_like(columns[1], np.nan)
+        outcome = self.predicted, self.predicted_std, self.start, self.residuals
+        return Rollout(columns[0], columns[1], columns[2], columns[3], *outcome, self.failed)
 
 
 class RolloutBatch:
@@ -144,18 +160,11 @@ class RolloutBatch:
     def __init__(self, lanes: Sequence[Lane], robot: Robot) -> None:
         self.lanes = lanes
         self.robot = robot
-        self.lane_states = []
-        for lane in lanes:
-            acting = ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s)
-            swim, rate_std = lane.swim, initial_rate_std(lane.swim.rest_rate)
-            state = Filter(lane.noise, swim.actuated_s, swim.begin_s, rate_std)
-            lane_state = LaneState(lane, acting, state, swim.segment_times_s)
-            lane_state.next_fix = int(np.searchsorted(lane.swim.time_s, lane.swim.begin_s))
-            lane_state.corrected_s = [lane.swim.begin_s]
-            self.lane_states.append(lane_state)
-        self.waiting = sorted(
-            range(len(lanes)), key=lambda index: len(self.lane_states[index].segment_times_s)
-        )
+        rngs = [np.random.default_rng(0)]
+        self.lane_states = [
+            LaneState(lane, ActingLanes(lane.effects, robot, rngs, lane.leg_s)) for lane in lanes
+        ]
+        self.waiting = sorted(range(len(lanes)), key=lambda index: len(lanes[index].swim.segment_times_s))
         self.slots = [self.waiting.pop() for _ in range(min(WIDTH, len(lanes)))]
         first = np.array([self._first_pose(self.lane_states[index]) for index in self.slots])
         self.batch = replay_batch(robot, first, lanes[0].step_s)
@@ -178,31 +187,20 @@ class RolloutBatch:
 
     def run(self) -> list[Rollout]:
         """Roll out all lanes to their ends."""
-        outcome = [
-            (
-                np.full((len(lane.swim.start_s), 3), np.nan),
-                np.full((len(lane.swim.start_s), 3), np.nan),
-                np.full((len(lane.swim.start_s), 6), np.nan),
-                np.full((len(lane.swim.start_s), 3 * len(PHASES)), np.nan),
-            )
-            for lane in self.lanes
-        ]
         while occupied := self.occupied():
+            there = [row for row in occupied if math.isfinite(row[1].segment_end_s)]
             until = self.batch.time_s.copy()
-            for slot, lane_state in occupied:
-                if lane_state.next_segment < len(lane_state.segment_times_s):
-                    until[slot] = lane_state.segment_times_s[lane_state.next_segment]
+            for slot, lane_state in there:
+                until[slot] = lane_state.segment_end_s
             self.advance(until)
-            there = [row for row in occupied if row[1].next_segment < len(row[1].segment_times_s)]
-            moves = {slot: self._correct(lane_state, outcome[self.slots[slot]]) for slot, lane_state in there}
-            self.batch.shift(moves)
+            self.batch.shift({slot: self._correct(lane_state) for slot, lane_state in there})
             motion = self.batch.motion_world()
             for slot, lane_state in there:
-                self._begin(slot, lane_state, motion[slot, :6], outcome[self.slots[slot]][2])
+                self._begin(slot, lane_state, motion[slot, :6])
             for slot, lane_state in occupied:
-                if lane_state.next_segment >= len(lane_state.segment_times_s):
+                if math.isinf(lane_state.segment_end_s):
                     self._retire(slot, lane_state)
-        return [self._track(lane_state, *outcome[index]) for index, lane_state in enumerate(self.lane_states)]
+        return [lane_state.rollout() for lane_state in self.lane_states]
 
     def _retire(self, slot: int, lane_state: LaneState) -> None:
         """Retire a lane at its end; the next one takes over its slot."""
@@ -259,22 +257,21 @@ class RolloutBatch:
         start_s = time_s + stroke.delay_s
         self.batch.fire(slot, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
-    def _correct(self, lane_state: LaneState, outcome: tuple[Float64, ...]) -> tuple[Float64, Float64]:
+    def _correct(self, lane_state: LaneState) -> tuple[Float64, Float64]:
         """At a segment's end: record the prediction that ends here and update by the fixes known by now.
 
         Returns:
             The estimated error of pose and velocity, (3,) each, world frame.
         """
-        swim, at_s = lane_state.lane.swim, float(lane_state.segment_times_s[lane_state.next_segment])
-        predicted, predicted_std, start, residuals = outcome
+        swim, at_s = lane_state.lane.swim, lane_state.segment_end_s
         ended = -1
         for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
             if lane_state.corrected_s[-1] <= swim.start_s[period] + 1e-6 and len(lane_state.times):
-                predicted[period] = self.camera_fix_at(lane_state, at_s)[1]
+                lane_state.predicted[period] = self.camera_fix_at(lane_state, at_s)[1]
                 before = Filter(lane_state.lane.noise, swim.actuated_s, lane_state.filter.time_s)
                 before.covariance = lane_state.filter.covariance.copy()
                 before.predict(at_s)
-                predicted_std[period] = np.sqrt(before.covariance[:, 0])
+                lane_state.predicted_std[period] = np.sqrt(before.covariance[:, 0])
                 ended = int(period)
         first = lane_state.next_fix
         while lane_state.next_fix < len(swim.time_s) and swim.arrival_s[lane_state.next_fix] <= at_s + 1e-9:
@@ -290,7 +287,8 @@ class RolloutBatch:
         if ended >= 0:
             length_s = float(swim.end_s[ended] - swim.start_s[ended])
             share = (times_s - float(swim.start_s[ended])) / length_s
-            residuals[ended] = phase_residuals(differences, share, float(start[ended, 2]))
+            heading_rad = float(lane_state.start[ended, 2])
+            lane_state.residuals[ended] = phase_residuals(differences, share, heading_rad)
         offset, rate = lane_state.filter.reset(at_s)
         lane_state.moved[:, 0] += offset - at_s * rate
         lane_state.moved[:, 1] += rate
@@ -300,12 +298,12 @@ class RolloutBatch:
         lane_state.corrected_s.append(at_s)
         return offset, rate
 
-    def _begin(self, slot: int, lane_state: LaneState, motion: Float64, start: Float64) -> None:
+    def _begin(self, slot: int, lane_state: LaneState, motion: Float64) -> None:
         """Begin the next segment, with the corrected motion."""
-        at_s = float(lane_state.segment_times_s[lane_state.next_segment])
+        starts = np.abs(lane_state.lane.swim.start_s - lane_state.segment_end_s) < 1e-6
         lane_state.next_segment += 1
-        for period in np.flatnonzero(np.abs(lane_state.lane.swim.start_s - at_s) < 1e-6):
-            start[period] = motion
+        for period in np.flatnonzero(starts):
+            lane_state.start[period] = motion
             self.began(slot, int(period))
 
     def began(self, slot: int, period: int) -> None:
@@ -326,30 +324,6 @@ class RolloutBatch:
             pose = interpolated(lane_state.times, lane_state.poses, np.array([true_s]))[0]
             _, shown = _camera_fix(lane_state.camera_effects, true_s, pose)
         return true_s, shown
-
-    def _track(
-        self,
-        lane_state: LaneState,
-        predicted: Float64,
-        predicted_std: Float64,
-        start: Float64,
-        residuals: Float64,
-    ) -> Rollout:
-        empty = (np.empty(0), *[np.empty((0, 3))] * 3)
-        columns = [np.concatenate(parts) for parts in zip(empty, *lane_state.rows, strict=True)]
-        if lane_state.failed:
-            columns[1] = np.full_like(columns[1], np.nan)
-        return Rollout(
-            columns[0],
-            columns[1],
-            columns[2],
-            columns[3],
-            predicted,
-            predicted_std,
-            start,
-            residuals,
-            lane_state.failed,
-        )
 
 
 def phase_residuals(gaps: Float64, share: Float64, heading_rad: float) -> Float64:

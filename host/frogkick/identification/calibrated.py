@@ -68,17 +68,10 @@ def calibrated_starts(robot: Robot) -> dict[str, tuple[Term, ...]]:
     Their planners may differ.
     """
     found = {}
+    apart = ("title", "planner", "effects", "toml", "sha256", "folder")
     for name in built_in_robots():
         other = load_robot(name)
-        plain = replace(
-            other,
-            title=robot.title,
-            planner=robot.planner,
-            effects=robot.effects,
-            toml=robot.toml,
-            sha256=robot.sha256,
-            folder=robot.folder,
-        )
+        plain = replace(other, **{key: getattr(robot, key) for key in apart})
         if other.effects != robot.effects and plain == robot:
             found[name] = tuple(
                 term_of(dict(table), effect)
@@ -98,14 +91,9 @@ def term_of(table: dict[str, object], effect: Effect) -> Term:
 def refitted(nominal: Fitted, terms: Sequence[Term], data: Data, measured: bool = True) -> Fitted | None:
     """Fit all effects of a calibrated start jointly; None if they explain too little for their number.
 
-    Parameters that are nominal in its file stay so.
-
-    Args:
-        nominal: the model without them.
-        terms: where the fit starts.
-        data: the runs.
-        measured: start from its calibrated values; else from nominal ones, so that only the choice of effects
-            and of their free parameters comes from the runs it was calibrated with.
+    Parameters that are nominal in its file stay so. The fit starts from the measured values, or else from
+    nominal ones, so that only the choice of effects and of their free parameters comes from the runs that the
+    start was calibrated with.
     """
     swims = data.swims
     flat = [

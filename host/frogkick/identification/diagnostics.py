@@ -37,9 +37,8 @@ PERIODOGRAM_PERIODS, PERIODOGRAM_COUNT_MIN = 24, 16
 def residual_diagnostics(fitted: Fitted, data: Data) -> dict[str, Any]:
     """Shares of the squared residuals at the ends of periods that each explanatory variable accounts for.
 
-    Returns:
-        ``shares``: variable -> share (adjusted for degrees of freedom); ``strongest``: the one with the most;
-        ``by_action``: mean forward, left (m), heading (rad) of each action; ``text``: in words.
+    ``shares``: variable -> share (adjusted for degrees of freedom); ``strongest``: the one with the most;
+    ``by_action``: mean forward, left (m), heading (rad) of each action; ``text``: in words.
     """
     residuals = fitted.residuals[:, -3:]
     names, order = data.swims[0].action_names, data.order
@@ -138,21 +137,13 @@ OUTLIER_SIGMA = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """The wrench that a model misses in k thirds of periods.
+    """The wrench that a model misses in k thirds of periods."""
 
-    Attributes:
-        run: (k,) index of the run.
-        time_s: (k,) middle of each third.
-        heading: (k,) heading of the robot at that time, rad.
-        wrench: (k, 3) missing force forward, left (N) and torque (N m); body frame.
-        covariance: (k, 3, 3) covariance of the wrench.
-    """
-
-    run: Int64
-    time_s: Float64
-    heading: Float64
-    wrench: Float64
-    covariance: Float64
+    run: Int64  # (k,) index of the run
+    time_s: Float64  # (k,) middle of each third
+    heading: Float64  # (k,) of the robot at that time, rad
+    wrench: Float64  # (k, 3) missing force forward, left (N) and torque (N m); body frame
+    covariance: Float64  # (k, 3, 3) of the wrench
 
     def as_json(self, names: Sequence[str]) -> dict[str, Any]:
         """Wrench and covariance in the body frame, and the force in the pool's frame as well."""

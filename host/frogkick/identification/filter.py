@@ -49,20 +49,12 @@ class Noise:
 
     def per_axis(self) -> tuple[Float64, Float64, Float64]:
         """(3,) squares of each, for x, y and heading."""
-        axes = [0, 0, 1]
-        return (
-            np.square(np.array(self.fix)[axes]),
-            np.square(np.array(self.idle)[axes]),
-            np.square(np.array(self.actuated)[axes]),
-        )
+        fix, idle, actuated = np.square(np.array([self.fix, self.idle, self.actuated]))[:, [0, 0, 1]]
+        return fix, idle, actuated
 
 
 def initial_rate_std(rest_rate: tuple[float, float, float] | None) -> tuple[float, float, float]:
-    """Initial standard deviation of the rate's error of a run.
-
-    Args:
-        rest_rate: how fast the robot moved at rest (see Segments.rest_rate); None if that is not known.
-    """
+    """Initial standard deviation of the rate's error of a run; see ``Segments.rest_rate``."""
     if rest_rate is None:
         return INITIAL_RATE_STD
     x, y, turn = np.clip(rest_rate, INITIAL_RATE_STD_MIN, INITIAL_RATE_STD).tolist()
@@ -249,8 +241,7 @@ NOISE_BOUNDS = (
 def maximum_likelihood_noise(series: Sequence[Sequence[Series]]) -> Noise:
     """Maximum-likelihood noise, to about 10 % of each number, by a grid that shrinks.
 
-    Args:
-        series: for each lane those of x, y and heading.
+    ``series`` are those of x, y and heading of each lane.
     """
     found = []
     for group, axes in enumerate(((0, 1), (2,))):

@@ -72,19 +72,12 @@ _LEAST = np.tile([2e-5, 2e-5, 2e-4], 3)  # m, m, rad: discretisation error, the 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A mixture fitted to residuals.
+    """A mixture fitted to residuals."""
 
-    Attributes:
-        chance: (k,) probability of a misfire of each limb.
-        scale: (d, d) scale matrix of the Student-t density.
-        failed: (n, k) probability that each stroke failed.
-        score: (n,) log density of each residual.
-    """
-
-    chance: Float64
-    scale: Float64
-    failed: Float64
-    score: Float64
+    chance: Float64  # (k,) probability of a misfire of each limb
+    scale: Float64  # (d, d) scale matrix of the Student-t density
+    failed: Float64  # (n, k) probability that each stroke failed
+    score: Float64  # (n,) log density of each residual
 
     @property
     def deviance(self) -> float:
@@ -124,12 +117,7 @@ class Misfires:
         return tuple(_term(limb, each[0]) for limb, each in zip(self.limbs, self.chance, strict=True))
 
     def scores(self, swims: Sequence[Segments], rows: Sequence[Bool]) -> list[Float64]:
-        """Log density of the residuals at the ends of each run's periods, by the mixture.
-
-        Args:
-            swims: the runs.
-            rows: for each run, (m,) whether each period is used.
-        """
+        """Log density of the residuals at the ends of each run's used periods, by the mixture."""
         (rollouts,) = rollouts_of([self.base.model], swims)
         every = _ends(self.base.model, self.indices, swims, rollouts)
         chance = np.array([each[0] for each in self.chance])
@@ -142,10 +130,7 @@ class Misfires:
         """Whether strokes fail by a rule and not by chance.
 
         They do if failures are clearly more frequent on one side of some time, place, heading or other
-        quantity.
-
-        Args:
-            strokes: see ``Responses.fired``.
+        quantity; for ``strokes`` see ``Responses.fired``.
         """
         for limb, strokes_failed in zip(self.indices, self.failed, strict=True):
             fails = np.array([share > 0.5 for *_, share in strokes_failed], dtype=np.float64)
@@ -262,10 +247,10 @@ def fitted_mixture(
         fired: (n, k) whether a limb was commanded to fire.
         chance: (k,) known probabilities; None: they are estimated.
     """
-    every = []
-    for start in STARTS:
-        first = np.full(changes.shape[2], start) if chance is None else chance
-        every.append(_maximised(residuals, changes, fired, first, chance is None))
+    if chance is not None:
+        return _maximised(residuals, changes, fired, chance, False)
+    starts = [np.full(changes.shape[2], start) for start in STARTS]
+    every = [_maximised(residuals, changes, fired, start, True) for start in starts]
     return min(every, key=lambda mixture: mixture.deviance)
 
 

@@ -69,12 +69,7 @@ MOTION_LEAST_M = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Predictions of the test runs with the drift tracked within each run, for both models.
-
-    Attributes:
-        before, after: errors without and with effects.
-        nominal_rollouts, rollouts: of the runs.
-    """
+    """Predictions of the test runs with the drift tracked within each run, without and with effects."""
 
     before: PredictionError
     after: PredictionError

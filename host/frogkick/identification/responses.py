@@ -156,13 +156,7 @@ class Responses:
         }
 
     def to(self, law: Law, parameters: Values, limbs: Sequence[str]) -> Float64:
-        """(n, 9) response of the residuals to a law.
-
-        Args:
-            law: the law.
-            parameters: values that replace those of the law.
-            limbs: names of the robot's limbs.
-        """
+        """(n, 9) response of the residuals to a law, with other values of its parameters."""
         shape = np.shape(self.bodies["x_m"])
         if law.on == "wrench":
             given = law.over({**self.bodies, **parameters})
@@ -261,12 +255,9 @@ def responses_of(nominal: Fitted, data: Data) -> Responses:
 def rollouts_with(
     model: Model, effects: Sequence[Sequence[Effect]], swims: Sequence[Segments]
 ) -> list[list[Rollout]]:
-    """Rollouts of runs by a model alone, and with each of k additional effects; simulated coarsely.
+    """Rollouts of runs by a model alone, and with each of k effects beside it; simulated coarsely.
 
-    Args:
-        model: the model.
-        effects: for each run its k additional effects.
-        swims: the runs.
+    ``effects`` are the k effects of each run.
     """
     bare = replace(model, robot=coarsened(model.robot), leg_s=LEG_S, step_s=COARSE_STEP_S)
     lanes: list[Lane] = [bare.lane(swim) for swim in swims]

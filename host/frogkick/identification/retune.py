@@ -188,10 +188,6 @@ def _lost(
     """What no table can hold of what was found, and what that costs the tables that the robot will have.
 
     Args:
-        outcome: what was found.
-        robot: any robot of these runs.
-        tools: to follow paths.
-        stage: see Stage.
         image: of the tables; None: they are made as new ones are, without effects.
         all_in: these in a pool with all that was found; None: not tried yet.
     """

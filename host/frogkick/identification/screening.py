@@ -50,12 +50,7 @@ FIXED_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Jacobian of the residuals by a candidate's parameters, at one start.
-
-    Attributes:
-        term: at the start.
-        jacobian: (n, 9, p).
-    """
+    """(n, 9, p) Jacobian of the residuals by a candidate's parameters, at one start."""
 
     term: Term
     jacobian: Float64
@@ -175,20 +170,13 @@ def _starts(term: Term, insensitive: Bool, swims: Sequence[Segments]) -> list[Te
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """A screened candidate at one start: the gain that its derivatives predict.
-
-    Attributes:
-        gain: predicted fall of the deviance.
-        score: gain minus the penalty of the free parameters.
-        values: of all its parameters.
-        fixed: which of them stay at the values where the effect vanishes.
-    """
+    """A screened candidate at one start: the gain that its derivatives predict."""
 
     column: Column
-    gain: float
-    score: float
-    values: Float64
-    fixed: frozenset[int]
+    gain: float  # predicted fall of the deviance
+    score: float  # gain minus the penalty of the free parameters
+    values: Float64  # of all its parameters
+    fixed: frozenset[int]  # which of them stay at the values where the effect vanishes
 
 
 def screened(current: Fitted, column: Column, data: Data) -> Screened:

@@ -88,20 +88,12 @@ COMPARED = 2.0
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """Score of a candidate in one iteration of the search.
-
-    Attributes:
-        title: of the effect.
-        gain: fall of the deviance.
-        held_out: mean rise of twice the log density of a held-out period.
-        refined: fitted by simulation, not only screened.
-        chosen: it was taken into the model.
-    """
+    """Score of a candidate in one iteration of the search."""
 
     title: str
-    gain: float
-    held_out: float
-    refined: bool
+    gain: float  # fall of the deviance
+    held_out: float  # mean rise of twice the log density of a held-out period
+    refined: bool  # fitted by simulation, not only screened
     chosen: bool = False
 
 
@@ -246,9 +238,9 @@ class _ForwardSelection:
         scored.sort(key=lambda row: -row[0])
         names = {each.title for each in tried}
         tried += [
-            CandidateScore(candidate.column.term.title, candidate.gain, float("nan"), False)
-            for candidate in candidates
-            if candidate.column.term.title not in names
+            CandidateScore(each.column.term.title, each.gain, float("nan"), False)
+            for each in candidates
+            if each.column.term.title not in names
         ]
         if not scored:
             return None, tried, [], fits

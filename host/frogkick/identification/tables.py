@@ -37,18 +37,11 @@ Stage = Callable[[str], AbstractContextManager[Tell]]
 
 @dataclass(frozen=True)
 class Tracked:
-    """Closed-loop performance of a table in a simulated pool: means over the runs.
+    """Closed-loop performance of a table in a simulated pool: means over the runs."""
 
-    Attributes:
-        mean_distance_m: to the path.
-        progress_mps: along it.
-        completed: runs that reached its end.
-        runs: all of them.
-    """
-
-    mean_distance_m: float
-    progress_mps: float
-    completed: int
+    mean_distance_m: float  # to the path
+    progress_mps: float  # along it
+    completed: int  # runs that reached its end
     runs: int
 
     def as_json(self) -> dict[str, float | int]:
@@ -104,12 +97,6 @@ def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) 
     Old and new tables start from the same states, the best that are known: those of the fitted rods. Their
     poses are those that the camera shows, as the robot will receive them. Further periods start from the
     table's own prediction.
-
-    Args:
-        tools: for the look-ups.
-        image: of the table.
-        outcome: runs, starts and effects.
-        periods: ahead.
     """
     effects = [term.effect().likeliest() for term in outcome.terms]
     gaps = [

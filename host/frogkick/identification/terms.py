@@ -17,18 +17,11 @@ from frogkick.robot import Robot
 
 @dataclass(frozen=True)
 class Term:
-    """An effect with values for its parameters.
+    """An effect with values for its parameters."""
 
-    Attributes:
-        table: its TOML table without parameters: name, or file and class; options.
-        folder: folder of its file.
-        parameters: as the effect declares them.
-        values: one for each.
-    """
-
-    table: tuple[tuple[str, Any], ...]
-    folder: Path
-    parameters: tuple[Parameter, ...]
+    table: tuple[tuple[str, Any], ...]  # of its TOML without parameters: name, or file and class; options
+    folder: Path  # of its file
+    parameters: tuple[Parameter, ...]  # as the effect declares them
     values: tuple[float, ...]
 
     @property

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from frogkick.core.poses import wrap_angle
 from frogkick.vision.calibration import Calibration, Tag
-from frogkick.vision.corners import calibrate_corners
+from frogkick.vision.pool_plane import calibrate_corners
 from frogkick.vision.scene import Conditions, Scene, Thing
 from frogkick.vision.sources import Frame
 from frogkick.vision.tags import tag_cells, tag_count, tag_white

@@ -12,7 +12,7 @@ from tests.vision.scenes import calibration, scene
 from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Calibration, Lens, Tag, refraction_offset_m
 from frogkick.vision.calibration_file import calibration_text, read_calibration, write_calibration
-from frogkick.vision.corners import calibrate_corners, read_corners
+from frogkick.vision.pool_plane import calibrate_corners, read_corners
 from frogkick.vision.scene import looking_at
 
 DISTORTED = (-0.18, 0.05, 0.001, -0.0005, 0.0)

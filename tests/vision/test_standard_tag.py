@@ -22,7 +22,7 @@ from tests.vision.test_golden_tag import from_above, photograph
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import wrap_angle
-from frogkick.vision import standard
+from frogkick.vision import tags
 from frogkick.vision.calibration import Tag
 from frogkick.vision.calibration_file import read_calibration
 from frogkick.vision.scene import Scene
@@ -174,15 +174,15 @@ def test_a_program_that_looked_for_one_ends_in_peace() -> None:
     """The library's own detector frees what it still looks at when it goes, which now and then is a fault."""
     from pupil_apriltags import Detector
 
-    assert isinstance(standard._detector(), Detector)
-    assert type(standard._detector()).__del__ is not Detector.__del__
+    assert isinstance(tags.standard_detector(), Detector)
+    assert type(tags.standard_detector()).__del__ is not Detector.__del__
     program = f"""
         import gc
         import numpy as np
-        from frogkick.vision import standard
+        from frogkick.vision import tags
         for _ in range({count(20, 100, 2)}):
-            standard._detector.cache_clear()
-            assert standard.find_standard(np.zeros((60, 80), np.uint8), 0) == []
+            tags.standard_detector.cache_clear()
+            assert tags.find_standard(np.zeros((60, 80), np.uint8), 0) == []
             gc.collect()
     """
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, check=False)
@@ -190,7 +190,7 @@ def test_a_program_that_looked_for_one_ends_in_peace() -> None:
 
 
 def test_without_the_extra_it_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    standard._detector.cache_clear()
+    tags.standard_detector.cache_clear()
     monkeypatch.setitem(sys.modules, "pupil_apriltags", None)
     with pytest.raises(
         InputError, match=r"tagStandard41h12 needs .* pip install 'frogkick\[apriltag\]'"

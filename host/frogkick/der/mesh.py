@@ -65,11 +65,7 @@ class Rods:
 
 
 def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: float | None = None) -> Rods:
-    """Build the shared part of swimmers, by default with the limb profile of the robot's actions.
-
-    Raises:
-        InputError: the profile is outside the measured range.
-    """
+    """Build the shared part of swimmers, by default with the limb profile of the robot's actions."""
     mesh, symbolic = build_mesh(robot)
     return Rods(robot, mesh, symbolic, robot.actuation(egain_percent, frequency_hz))
 

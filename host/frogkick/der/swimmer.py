@@ -37,9 +37,6 @@ class Swimmer:
             time_s: initial time of its clock.
             step_s: finest time step.
             rods: prepare(robot), to share it between swimmers.
-
-        Raises:
-            InputError: a value that is not finite, or a step that is not positive.
         """
         pose = np.array(pose_world, dtype=np.float64)
         velocity = np.array(velocity_body, dtype=np.float64)
@@ -80,9 +77,6 @@ class Swimmer:
             time_s: start of the stroke.
             gain: share of the measured stroke, 0 to 2.
             duration_scale: duration of the limb's return over the measured one, 0.1 to 10.
-
-        Raises:
-            InputError: no such limb, a time that has passed, or gain or scale out of range.
         """
         limbs = len(self.rods.robot.limbs)
         if not 0 <= limb < limbs:

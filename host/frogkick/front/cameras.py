@@ -24,8 +24,7 @@ from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pict
 from frogkick.vision.calibration import Calibration, Tag, refraction_offset_m
 from frogkick.vision.calibration_file import read_calibration, write_calibration
 from frogkick.vision.check import Place, check_frames, check_points, known_places, rendered, summary
-from frogkick.vision.corners import calibrate_corners, read_corners
-from frogkick.vision.plane_board import calibrate_plane
+from frogkick.vision.pool_plane import calibrate_corners, calibrate_plane, read_corners
 from frogkick.vision.scene import Conditions
 from frogkick.vision.sources import Frame, open_source
 from frogkick.vision.tags import tag_cells, tag_margin

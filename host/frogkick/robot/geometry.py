@@ -33,12 +33,7 @@ def _edge(frame: Frame, index: int) -> Float64:
 
 
 def require_geometry(frame: Frame, limbs: tuple[Limb, ...]) -> None:
-    """Check that frame and limbs can be built.
-
-    Raises:
-        InputError: a segment is too short, the frame crosses itself, or limbs at rest cross themselves, each
-            other, or a frame edge that they do not start from.
-    """
+    """Check that frame and limbs can be built."""
     n = len(frame.corners_m)
     for i in range(n):
         length_m = math.dist(*_edge(frame, i))

@@ -91,9 +91,6 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         content: TOML.
         source: its name in errors.
         folder: of ``profiles_file``; None if the text must be complete.
-
-    Raises:
-        InputError: see load_robot.
     """
     table = _parse_toml(content, source)
     table, profiles = _on_base(table, source, folder)
@@ -146,11 +143,7 @@ def _require_likely(table: Mapping[str, Any], where: str = "") -> None:
 
 
 def _on_base(table: dict[str, Any], source: str, folder: Path | None) -> tuple[dict[str, Any], Path | None]:
-    """A file's keys merged into those of its ``base``, a built-in robot, and the folder of its profiles.
-
-    Raises:
-        InputError: no such robot, or its base has a base.
-    """
+    """A file's keys merged into those of its ``base``, a built-in robot, and the folder of its profiles."""
     base = table.pop("base", None)
     if base is None:
         return table, folder

@@ -169,9 +169,6 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
     Between two frequencies the drops of the curvature are interpolated at equal times since the pulse, over
     the cycle 1 / frequency; a profile that has ended counts as rest, and the rest at the cycle's end is
     removed by a ramp. The same holds between EGaIn fractions.
-
-    Raises:
-        InputError: outside of the measured range.
     """
     wanted_hz = round(float(frequency_hz), DIGITS_HZ)
     fractions = sorted({p.egain_percent for p in profiles})
@@ -208,11 +205,7 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
 
 
 def read_mat(path: Path, name: str) -> tuple[Float64, Float64]:
-    """Read ``t`` and one more variable of a MATLAB file, as rows.
-
-    Raises:
-        InputError: not such a file, or one of the variables is missing.
-    """
+    """Read ``t`` and one more variable of a MATLAB file, as rows."""
     from scipy.io import loadmat
 
     try:
@@ -244,9 +237,6 @@ def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
     Args:
         file: the CSV file.
         length_m: length of the limb, for a tracked tip.
-
-    Raises:
-        InputError: no such file, other columns, a cell that is not a number, or a tip without the length.
     """
     name = Path(file).name
     rows = np.array(csv_numbers(file, "stroke file", ("time_s",), ("curvature_per_m", "tip_x_m", "tip_y_m")))
@@ -267,11 +257,7 @@ def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
 
 
 def fit_stroke(stroke: Stroke, egain_percent: float, frequency_hz: float | None = None) -> Profile:
-    """The profile of a measured stroke; the default frequency is one over its last time, to four digits.
-
-    Raises:
-        InputError: see ``fit_profile``; times before the pulse.
-    """
+    """The profile of a measured stroke; the default frequency is one over its last time, to four digits."""
     time_s = stroke.time_s
     if not time_s[0] >= 0.0:
         raise InputError(f"stroke file {stroke.name!r} begins at {time_s[0]:g} s: 0 is when the pulse begins")

@@ -50,9 +50,6 @@ def to_toml(table: Mapping[str, Any]) -> str:
 
     Args:
         table: str -> scalar, list of scalars, dict, or list of dicts; keys are bare TOML keys.
-
-    Raises:
-        InputError: a value that TOML or this project cannot hold (NaN, None).
     """
     lines: list[str] = []
     _write(table, "", lines)

@@ -78,11 +78,7 @@ class Board:
 
 
 def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
-    """Read a folder's pictures, by name, as grey levels.
-
-    Raises:
-        InputError: no such folder, no picture in it, or one that cannot be read.
-    """
+    """Read a folder's pictures, by name, as grey levels."""
     place = Path(folder)
     if not place.is_dir():
         raise InputError(f"folder of pictures {str(folder)!r} does not exist: check the path")
@@ -93,11 +89,7 @@ def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
 
 
 def read_picture(path: Path | str) -> UInt8:
-    """Read a picture as grey levels.
-
-    Raises:
-        InputError: not a readable picture.
-    """
+    """Read a picture as grey levels."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if Path(path).is_file() else None
     if image is None:
         raise InputError(f"{str(path)!r} is not a readable picture: check the path and the file")
@@ -113,9 +105,6 @@ def calibrate_lens(board: Board, pictures: Sequence[tuple[str, UInt8]]) -> tuple
 
     Returns:
         The lens, the root mean square of the residuals in pixels, and the number of points.
-
-    Raises:
-        InputError: pictures of several sizes, too few pictures with the board, or large residuals.
     """
     sizes = {image.shape for _, image in pictures}
     if len(sizes) > 1:

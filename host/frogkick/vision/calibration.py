@@ -16,10 +16,29 @@ import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
-from frogkick.vision.plane import apply
 from frogkick.vision.tags import check_tag
 
 WATER_INDEX = 1.333
+
+
+def apply(homography: Float64, points: Float64) -> Float64:
+    """Map (n, 2) points by a (3, 3) homography."""
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def from_four(source: Float64, target: Float64) -> Float64:
+    """The homography that takes four points (4, 2) exactly to four others.
+
+    Raises:
+        numpy.linalg.LinAlgError: three of the points lie on one line.
+    """
+    rows = np.zeros((8, 8))
+    rows[0::2, :2] = rows[1::2, 3:5] = source
+    rows[0::2, 2] = rows[1::2, 5] = 1.0
+    rows[0::2, 6:] = -source * target[:, :1]
+    rows[1::2, 6:] = -source * target[:, 1:]
+    return np.append(np.linalg.solve(rows, target.ravel()), 1.0).reshape(3, 3)
 
 
 def refraction_offset_m(height_m: float) -> float:
@@ -185,9 +204,6 @@ def lens_from_height(
         image_px: width, height.
         camera_height_m: over the water.
         plane_m: apparent height of the reference plane.
-
-    Raises:
-        InputError: no focal length between 0.2 and 20 picture widths gives that height.
     """
     width, height = image_px
 
@@ -216,12 +232,12 @@ def camera_of(
     plane_m: float,
     lens: Lens | None,
     camera_height_m: float | None,
-) -> tuple[Float64, Float64] | None:
+) -> tuple[Float64 | None, Float64 | None]:
     """Camera matrix and position, by the lens or by the camera's height over the water; None without both."""
     if lens is not None:
         matrix = lens.matrix_px
     elif camera_height_m is not None:
         matrix = lens_from_height(homography, image_px, camera_height_m, plane_m)
     else:
-        return None
+        return None, None
     return matrix, camera_pose(homography, matrix, plane_m)[1]

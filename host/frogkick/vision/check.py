@@ -45,9 +45,6 @@ def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
     Args:
         calibration: the calibration to check.
         path: CSV with columns x_px, y_px, x_m, y_m: pixels of the picture, pool frame.
-
-    Raises:
-        InputError: the file lacks columns, numbers or rows.
     """
     rows = np.array(csv_numbers(path, "CSV", ("x_px", "y_px", "x_m", "y_m")))
     seen = calibration.pool(calibration.undistort(rows[:, :2]), calibration.plane_apparent_m)
@@ -84,11 +81,7 @@ def check_frames(
 
 
 def known_places(path: Path | str) -> Iterable[tuple[UInt8, float, float, float]]:
-    """Pictures of the tag at known places, from a CSV with columns image, x_m, y_m and perhaps heading_deg.
-
-    Raises:
-        InputError: a row or a picture that cannot be read.
-    """
+    """Pictures of the tag at places of a CSV with the columns image, x_m, y_m and perhaps heading_deg."""
     rows = np.array(csv_numbers(path, "CSV", ("x_m", "y_m"), ("heading_deg",)))
     with Path(path).open(encoding="utf-8-sig", newline="") as handle:
         names = [row.get("image") or "" for row in csv.DictReader(handle)]
@@ -103,11 +96,7 @@ def known_places(path: Path | str) -> Iterable[tuple[UInt8, float, float, float]
 
 
 def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
-    """A rendered pool as the calibrated camera sees it.
-
-    Raises:
-        InputError: the camera's position is unknown.
-    """
+    """A rendered pool as the calibrated camera sees it."""
     if calibration.camera_m is None:
         raise InputError(
             "the calibration does not contain the camera's position, so no picture can be rendered: "

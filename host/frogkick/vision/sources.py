@@ -51,9 +51,6 @@ def device_frames(index: int, image_px: tuple[int, int] | None = None) -> Iterat
     Args:
         index: number of the device, 0 for the first.
         image_px: width and height to ask for.
-
-    Raises:
-        InputError: no such device, one that stops giving pictures, or one that freezes.
     """
     camera = _opened(index, f"camera {index}")
     try:
@@ -89,9 +86,6 @@ def stream_frames(url: str) -> Iterator[Frame]:
 
     A thread takes each as it comes: one that waited in a buffer would be taken for a newer one. Only the
     newest counts.
-
-    Raises:
-        InputError: no such camera, one that stops giving pictures, or one that freezes.
     """
     what = f"camera {url}"
     camera = _opened(url, what)
@@ -134,11 +128,7 @@ def _live(pictures: Iterable[tuple[UInt8 | None, float]], what: str, hint: str) 
 
 
 def video_frames(path: Path | str) -> Iterator[Frame]:
-    """Frames of a video file.
-
-    Raises:
-        InputError: no such file, or one that is no video.
-    """
+    """Frames of a video file."""
     if not Path(path).is_file():
         raise InputError(f"video {str(path)!r} does not exist: check the path")
     video = _opened(str(path), f"video {str(path)!r}")

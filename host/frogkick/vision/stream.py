@@ -29,9 +29,6 @@ def streamed(picture: Callable[[], UInt8], rate_hz: float, port: int = 0) -> Ite
 
     Returns:
         The addresses of the stream and of a single picture.
-
-    Raises:
-        InputError: the port is taken.
     """
     closing = threading.Event()
 

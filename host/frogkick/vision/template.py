@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from frogkick.core.arrays import Bool, Float64, UInt8
-from frogkick.vision.plane import apply, from_four
+from frogkick.vision.calibration import apply, from_four
 from frogkick.vision.tags import tag_cells, tag_margin, tag_white
 
 PER_CELL = 4

@@ -18,8 +18,7 @@ from frogkick.core.arrays import AnyArray, Float64, Int64, UInt8
 from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.pose import Pose, solve_pose, tag_place
-from frogkick.vision.standard import find_standard
-from frogkick.vision.tags import STANDARD, dictionary, picture_order
+from frogkick.vision.tags import STANDARD, dictionary, find_standard, picture_order
 from frogkick.vision.template import Fit, fit_template, likeliest_turn, templates
 
 Reason = Literal["found", "no tag", "doubled", "unclear", "not flat", "wrong size", "outside the pool"]
@@ -86,9 +85,6 @@ class Tracker:
             image: (height, width) grey or (height, width, 3) BGR, of the calibration's size.
             capture_s: its capture time.
             clock_s: the source's clock now, for the latency; None: no latency.
-
-        Raises:
-            InputError: the frame is not of the calibration's size.
         """
         started = time.perf_counter()
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

@@ -57,9 +57,6 @@ class Video:
         Args:
             image: (height, width) grey or (height, width, 3) BGR; all of one size.
             capture_s: capture time on the camera's clock.
-
-        Raises:
-            InputError: the files cannot be written.
         """
         try:
             if self._writer is None:

@@ -1,4 +1,4 @@
-"""Calibration from the pool's four corners, given as pixels in a small file."""
+"""Calibration of the pool's plane: from its four corners in a small file, or from a board laid on it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,22 @@ import csv
 import tomllib
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from frogkick.core.arrays import Float64
+from frogkick.core.arrays import Float64, UInt8
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
-from frogkick.vision.calibration import Calibration, Lens, Tag, camera_of, refraction_offset_m
-from frogkick.vision.plane import from_four
+from frogkick.vision.board import Board
+from frogkick.vision.calibration import (
+    Calibration,
+    Lens,
+    Tag,
+    apply,
+    camera_of,
+    from_four,
+    refraction_offset_m,
+)
 
 SIDES_MOST = 1.25
 """Largest ratio of the apparent scales of the pool's sides; corners marked by hand are within."""
@@ -24,9 +33,6 @@ def read_corners(path: Path | str) -> Float64:
 
     Returns:
         (4, 2) pixels, in the order of ``ORDER``.
-
-    Raises:
-        InputError: no such file, or not four pairs of finite numbers.
     """
     file = existing_file(path, "corners file")
     try:
@@ -72,10 +78,6 @@ def calibrate_corners(
         camera_height_m: measured, over the water; needed if tag and corners differ in height and the lens is
             unknown.
         lens: intrinsics, if known.
-
-    Raises:
-        InputError: corners outside of the picture, on one line, crossed or mirrored, or a camera height that
-            does not fit them.
     """
     width, height = image_px
     beyond = int(((corners_px < 0) | (corners_px > (width, height))).any(axis=1).sum())
@@ -108,16 +110,14 @@ def calibrate_corners(
         )
     length, across = pool_m
     offset = refraction_offset_m(corner_height_m)
-    plane = corner_height_m + offset
     seen = corners_px
     homes = np.array([[0, 0], [length, 0], [length, across], [0, across]], dtype=np.float64)
     if lens is not None:
         seen = Calibration(image_px, pool_m, np.eye(3), lens=lens, tag=Tag()).undistort(corners_px)
     homography = from_four(homes, seen)
-    camera = camera_of(homography, image_px, plane, lens, camera_height_m)
-    if camera is not None:
-        _require_sides(homography, camera[0])
-    place_m = None if camera is None else camera[1]
+    matrix, place_m = camera_of(homography, image_px, corner_height_m + offset, lens, camera_height_m)
+    if matrix is not None:
+        _require_sides(homography, matrix)
     return Calibration(
         image_px, pool_m, homography, corner_height_m, offset, place_m, lens, tag, "corners", 4, 0.0
     )
@@ -132,3 +132,56 @@ def _require_sides(homography: Float64, matrix: Float64) -> None:
             f"the pool's length appears {stretch:.2f} times too long for its width: give --pool as length "
             f"x width, and the corners along the length first, {ORDER}"
         )
+
+
+def calibrate_plane(
+    board: Board,
+    image: UInt8,
+    board_at_m: tuple[float, float],
+    pool_m: tuple[float, float],
+    tag: Tag,
+    board_height_m: float = 0.0,
+    camera_height_m: float | None = None,
+    lens: Lens | None = None,
+) -> Calibration:
+    """Calibrate from a picture of a board at a known place in the pool.
+
+    Args:
+        board: the board.
+        image: (height, width) grey levels.
+        board_at_m: (2,) its first inner corner in the pool's frame; the board lies face up, its columns along
+            x, its rows towards -y.
+        pool_m: length, width.
+        tag: the tag on the robot.
+        board_height_m: of its face over the water, negative under it.
+        camera_height_m: over the water; needed if tag and board differ in height and the lens is unknown.
+        lens: intrinsics, if known.
+    """
+    if board.kind == "chessboard" and (board.columns + board.rows) % 2 == 0:
+        raise InputError(
+            f"a chessboard of {board.columns} x {board.rows} squares looks the same from both ends: take one "
+            "with an odd and an even number, as 9x6, or a ChArUco board"
+        )
+    found = board.find(image)
+    if found is None:
+        raise InputError(
+            f"no {board.kind} board of {board.columns} x {board.rows} squares is seen in the picture of the "
+            "plane: all of it must be in sight; check --squares, light and focus"
+        )
+    home, seen = found
+    image_px = (image.shape[1], image.shape[0])
+    blank = Calibration(image_px, pool_m, np.eye(3), lens=lens)
+    flat = blank.undistort(seen)
+    on_pool = np.array(board_at_m) + home * [1.0, -1.0]
+    fitted, _ = cv2.findHomography(on_pool, flat, 0)
+    if fitted is None:
+        raise InputError("the board's corners fix no plane: it must not be seen from the edge")
+    if np.linalg.det(np.asarray(fitted)[:2, :2]) > 0:
+        raise InputError("the board is seen mirrored: switch that off in the camera, or lay it face up")
+    homography = np.asarray(fitted, dtype=np.float64)
+    rms = float(np.sqrt(np.mean(np.sum((apply(homography, on_pool) - flat) ** 2, axis=1))))
+    offset = refraction_offset_m(board_height_m)
+    _, place_m = camera_of(homography, image_px, board_height_m + offset, lens, camera_height_m)
+    return Calibration(
+        image_px, pool_m, homography, board_height_m, offset, place_m, lens, tag, board.kind, len(seen), rms
+    )

@@ -7,7 +7,7 @@ import numpy as np
 from frogkick.der.lanes import lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, build_mesh
 from frogkick.der.rods import add_forces, add_stiffness, edges_of
-from frogkick.der.symbolic import SymbolicFactorisation, factorise_symbolically
+from frogkick.der.solve import SymbolicFactorisation, factorise_symbolically
 from frogkick.robot import Actuation, load_robot
 
 ROBOT = load_robot("frog2022")

@@ -16,7 +16,7 @@ from tests.der.single import simulate_action
 from frogkick.der import STEP_S, Batch, Gait, Rods, Swimmer, Trajectory, prepare, simulate_gaits
 from frogkick.der.mesh import Mesh
 from frogkick.der.schedule import COARSEST_AT_REST
-from frogkick.der.symbolic import SymbolicFactorisation
+from frogkick.der.solve import SymbolicFactorisation
 from frogkick.robot import Robot, load_robot
 
 ROBOT = load_robot("frog2022")

@@ -8,8 +8,7 @@ from tests.der.rig import dense, numbers
 
 from frogkick.der import prepare
 from frogkick.der.lanes import lane_floats, lane_zeros
-from frogkick.der.solve import factor, solve
-from frogkick.der.symbolic import factorise_symbolically
+from frogkick.der.solve import factor, factorise_symbolically, solve
 from frogkick.robot import load_robot
 
 

@@ -37,7 +37,7 @@ from frogkick.runs.record import tracking_of_recording
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.summary import summary
 from frogkick.runs.tracked_fixes import CameraFixes
-from frogkick.vision.calibration_file import write_calibration
+from frogkick.vision.calibration import write_calibration
 from frogkick.vision.sources import Frame
 
 PERIOD_S = rig.PERIOD_S

@@ -30,7 +30,7 @@ from frogkick.link.pty_line import PtyLine
 from frogkick.runs.closed_loop import STOPPED
 from frogkick.runs.live_log import part_of
 from frogkick.runs.runlog_file import read_run
-from frogkick.vision.calibration_file import write_calibration
+from frogkick.vision.calibration import write_calibration
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 

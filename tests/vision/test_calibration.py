@@ -10,8 +10,15 @@ import pytest
 from tests.vision.scenes import calibration, scene
 
 from frogkick.core.errors import InputError
-from frogkick.vision.calibration import Calibration, Lens, Tag, refraction_offset_m
-from frogkick.vision.calibration_file import calibration_text, read_calibration, write_calibration
+from frogkick.vision.calibration import (
+    Calibration,
+    Lens,
+    Tag,
+    calibration_text,
+    read_calibration,
+    refraction_offset_m,
+    write_calibration,
+)
 from frogkick.vision.pool_plane import calibrate_corners, read_corners
 from frogkick.vision.scene import looking_at
 

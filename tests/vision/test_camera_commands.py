@@ -19,7 +19,7 @@ from frogkick.core.poses import Fix
 from frogkick.front.cameras import track_camera
 from frogkick.runs.tracked_fixes import parse_line
 from frogkick.vision.board import Board
-from frogkick.vision.calibration_file import read_calibration, write_calibration
+from frogkick.vision.calibration import read_calibration, write_calibration
 from frogkick.vision.tags import dictionary, picture_order
 
 USUAL = scene()

@@ -23,8 +23,7 @@ from tests.vision.test_golden_tag import from_above, photograph
 from frogkick.core.errors import InputError
 from frogkick.core.poses import wrap_angle
 from frogkick.vision import tags
-from frogkick.vision.calibration import Tag
-from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.calibration import Tag, read_calibration
 from frogkick.vision.scene import Scene
 from frogkick.vision.tags import STANDARD, tag_cells
 from frogkick.vision.template import fit_template, templates

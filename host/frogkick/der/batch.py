@@ -16,8 +16,8 @@ from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, Rods
 from frogkick.der.schedule import Schedule, Stroke
+from frogkick.der.solve import SymbolicFactorisation
 from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, Nodes, workspace_of
-from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.der.water import STILL, WATER, Water
 
 WIDTH = 8  # lanes: processors have vectors of 8 float64; the work space of 16 lanes exceeds the cache

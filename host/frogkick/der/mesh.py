@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from frogkick.core.arrays import Float64, Int32
-from frogkick.der.symbolic import SymbolicFactorisation, factorise_symbolically
+from frogkick.der.solve import SymbolicFactorisation, factorise_symbolically
 from frogkick.robot import Actuation, Robot
 
 

@@ -28,7 +28,7 @@ from frogkick.core.compiled import BARE
 from frogkick.der.lanes import SimdArray, add, get, where_above
 from frogkick.der.mesh import Mesh
 from frogkick.der.rods import Edges
-from frogkick.der.water import flow_x, flow_y
+from frogkick.der.water import relative_velocity
 
 
 @njit(**BARE)
@@ -59,11 +59,8 @@ def add_plate_forces(
         inverse = get(edges.inverse_m, edge, 0)
         vix, viy, vjx, vjy = get(v_mps, i, 0), get(v_mps, i, 1), get(v_mps, j, 0), get(v_mps, j, 1)
         spin = ((vjy - viy) * tx - (vjx - vix) * ty) * inverse
-        if water.shape[0] > 0:
-            px, py = get(x_m, i, 0), get(x_m, i, 1)
-            vix, viy = vix - flow_x(water, px, py), viy - flow_y(water, px, py)
-            px, py = get(x_m, j, 0), get(x_m, j, 1)
-            vjx, vjy = vjx - flow_x(water, px, py), vjy - flow_y(water, px, py)
+        vix, viy = relative_velocity(water, x_m, v_mps, i)
+        vjx, vjy = relative_velocity(water, x_m, v_mps, j)
         vit, vin = vix * tx + viy * ty, viy * tx - vix * ty
         vjt, vjn = vjx * tx + vjy * ty, vjy * tx - vjx * ty
         turn = (mass * inverse) * (vin * vit + vjn * vjt)  # -dT / d(edge), along n

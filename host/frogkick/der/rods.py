@@ -14,8 +14,8 @@ from numba import njit
 from frogkick.core.compiled import BARE
 from frogkick.der.lanes import SimdArray, absolute, add, get, lane_zeros, put, sqrt
 from frogkick.der.mesh import Mesh
-from frogkick.der.symbolic import SymbolicFactorisation
-from frogkick.der.water import flow_x, flow_y, push_x, push_y
+from frogkick.der.solve import SymbolicFactorisation
+from frogkick.der.water import push, relative_velocity
 
 
 class Edges(NamedTuple):
@@ -107,11 +107,7 @@ def add_forces(
         for end in range(2):
             node = mesh.edge_nodes[edge, end]
             side = 1.0 - 2.0 * end
-            vx, vy = get(v_mps, node, 0), get(v_mps, node, 1)
-            if water.shape[0] > 0:
-                px, py = get(x_m, node, 0), get(x_m, node, 1)
-                vx = vx - flow_x(water, px, py)
-                vy = vy - flow_y(water, px, py)
+            vx, vy = relative_velocity(water, x_m, v_mps, node)
             vt, vn = vx * tx + vy * ty, vy * tx - vx * ty
             along, across = ct * absolute(vt) * vt, cn * absolute(vn) * vn
             fx = side * get(edges.pull_n, edge, 0) - along * tx + across * ty
@@ -120,9 +116,9 @@ def add_forces(
             add(force_n, node, 1, fy)
     if water.shape[0] > 0:
         for i in range(mesh.mass_kg.shape[0]):
-            px, py = get(x_m, i, 0), get(x_m, i, 1)
-            add(force_n, i, 0, mesh.mass_kg[i] * push_x(water, px, py))
-            add(force_n, i, 1, mesh.mass_kg[i] * push_y(water, px, py))
+            ax, ay = push(water, x_m, i)
+            add(force_n, i, 0, mesh.mass_kg[i] * ax)
+            add(force_n, i, 1, mesh.mass_kg[i] * ay)
 
 
 @njit(**BARE)
@@ -201,11 +197,7 @@ def add_stiffness(
         cn, ct = 2.0 * mesh.edge_drag_normal[edge], 2.0 * mesh.edge_drag_tangential[edge]
         for end in range(2):
             node = mesh.edge_nodes[edge, end]
-            vx, vy = get(v_mps, node, 0), get(v_mps, node, 1)
-            if water.shape[0] > 0:
-                px, py = get(x_m, node, 0), get(x_m, node, 1)
-                vx = vx - flow_x(water, px, py)
-                vy = vy - flow_y(water, px, py)
+            vx, vy = relative_velocity(water, x_m, v_mps, node)
             dt = velocity_gain * ct * absolute(vx * tx + vy * ty)
             dn = velocity_gain * cn * absolute(vy * tx - vx * ty)
             add(diagonal, node, 0, xx + dt * (tx * tx) + dn * (ty * ty))

@@ -22,8 +22,7 @@ from frogkick.der.lanes import SimdArray, add, any_above, get, lane_zeros, put, 
 from frogkick.der.mesh import Mesh
 from frogkick.der.plates import add_plate_forces, add_plate_inertia
 from frogkick.der.rods import Edges, add_forces, add_stiffness, edges_of
-from frogkick.der.solve import factor, solve
-from frogkick.der.symbolic import SymbolicFactorisation
+from frogkick.der.solve import SymbolicFactorisation, factor, solve
 
 SPECTRAL_RADIUS = 0.9  # damping of frequencies above the step's reach: 1 none, 0 all in one step
 ALPHA_M = (2.0 * SPECTRAL_RADIUS - 1.0) / (SPECTRAL_RADIUS + 1.0)

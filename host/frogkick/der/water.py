@@ -48,24 +48,18 @@ STILL = Water()
 
 
 @njit(**INNER)
-def flow_x(water: SimdArray, x: Any, y: Any) -> Any:
-    """World x velocity of the water at a position about the origin."""
-    return get(water, 0, 0) + (get(water, 2, 0) * x + get(water, 3, 0) * y)
+def relative_velocity(water: SimdArray, x_m: SimdArray, v_mps: SimdArray, node: int) -> tuple[Any, Any]:
+    """World velocity of a node relative to the water; ``water`` of length 0 is still."""
+    vx, vy = get(v_mps, node, 0), get(v_mps, node, 1)
+    if water.shape[0] > 0:
+        x, y = get(x_m, node, 0), get(x_m, node, 1)
+        vx = vx - (get(water, 0, 0) + (get(water, 2, 0) * x + get(water, 3, 0) * y))
+        vy = vy - (get(water, 1, 0) + (get(water, 4, 0) * x + get(water, 5, 0) * y))
+    return vx, vy
 
 
 @njit(**INNER)
-def flow_y(water: SimdArray, x: Any, y: Any) -> Any:
-    """World y velocity of the water at a position about the origin."""
-    return get(water, 1, 0) + (get(water, 4, 0) * x + get(water, 5, 0) * y)
-
-
-@njit(**INNER)
-def push_x(water: SimdArray, x: Any, y: Any) -> Any:
-    """World x acceleration of a node at a position about the origin."""
-    return get(water, 6, 0) - get(water, 8, 0) * y
-
-
-@njit(**INNER)
-def push_y(water: SimdArray, x: Any, y: Any) -> Any:
-    """World y acceleration of a node at a position about the origin."""
-    return get(water, 7, 0) + get(water, 8, 0) * x
+def push(water: SimdArray, x_m: SimdArray, node: int) -> tuple[Any, Any]:
+    """World acceleration of a node by the external force and torque."""
+    x, y = get(x_m, node, 0), get(x_m, node, 1)
+    return get(water, 6, 0) - get(water, 8, 0) * y, get(water, 7, 0) + get(water, 8, 0) * x

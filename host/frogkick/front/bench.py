@@ -39,7 +39,7 @@ from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.text_robot import TextRobot
 from frogkick.runs.tracked_fixes import CameraFixes, LineFixes
 from frogkick.tables.image import Tables
-from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.calibration import read_calibration
 from frogkick.vision.sources import open_source
 from frogkick.vision.video import Video
 

@@ -21,8 +21,13 @@ from frogkick.runs.closed_loop import Recording
 from frogkick.runs.live_view import FIXES_SHOWN
 from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
-from frogkick.vision.calibration import Calibration, Tag, refraction_offset_m
-from frogkick.vision.calibration_file import read_calibration, write_calibration
+from frogkick.vision.calibration import (
+    Calibration,
+    Tag,
+    read_calibration,
+    refraction_offset_m,
+    write_calibration,
+)
 from frogkick.vision.check import Place, check_frames, check_points, known_places, rendered, summary
 from frogkick.vision.pool_plane import calibrate_corners, calibrate_plane, read_corners
 from frogkick.vision.scene import Conditions

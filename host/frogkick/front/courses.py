@@ -25,7 +25,7 @@ from frogkick.runs.path_change import NextPath
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import track_of
 from frogkick.tables.image import Tables
-from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.calibration import read_calibration
 
 HERE = "here"
 Then = str | tuple[Any, ...]

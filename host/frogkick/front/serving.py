@@ -28,8 +28,7 @@ from frogkick.pool.served_robot import ServedRobot, SimulatedPort
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed
 from frogkick.runs.lab_session import stops_are_interrupts
-from frogkick.vision.calibration import Calibration
-from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.calibration import Calibration, read_calibration
 from frogkick.vision.check import scene_of
 from frogkick.vision.pose import tag_place
 from frogkick.vision.scene import Conditions, Scene

@@ -1,11 +1,10 @@
 """What a robot is: TOML to frozen dataclasses, actions, actuation profiles."""
 
-from frogkick.robot.geometry import robot_warnings
+from frogkick.robot.geometry import Mirror, mirror_of, robot_warnings
 from frogkick.robot.load import built_in_robots, load_robot, parse_robot
 from frogkick.robot.model import Action, Guard, PlannerDefaults, Robot, VelocityBox, in_a_row
 from frogkick.robot.profile import Actuation, Profile, fit_profile
 from frogkick.robot.shape import Frame, Limb, limb_points
-from frogkick.robot.symmetry import Mirror, mirror_of
 
 __all__ = [
     "Action",

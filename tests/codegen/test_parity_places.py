@@ -130,11 +130,14 @@ def test_so_it_does_over_very_many_states(built: Built, config: str) -> None:
     cases = make_cases(built.tables, PATH, number, SEED + 1, (0.7, 0.295, 0.005, 0.0))
     chip = ChipPlanner(built.bench)
     chip.configure(PATH, settings)
-    places = {"python": python_place(built.tables, PATH, settings), "chip": chip.decide}
+    places = {
+        "python": python_place(built.tables, PATH, settings),
+        "chip": lambda *given: chip.plan(*given, counted=False)[0],
+    }
     (pair,) = compare(cases, places)
     assert pair.mismatches == 0, pair.first_failure
-    counted, _ = chip.plan(cases.states[:40], cases.depths[:40], cases.limb_use[:40], cases.along_points[:40])
-    again = chip.decide(cases.states[:40], cases.depths[:40], cases.limb_use[:40], cases.along_points[:40])
+    some = (cases.states[:40], cases.depths[:40], cases.limb_use[:40], cases.along_points[:40])
+    counted, again = chip.plan(*some)[0], chip.plan(*some, counted=False)[0]
     assert counted.tobytes() == again.tobytes()
 
 

@@ -20,8 +20,8 @@ from frogkick.paths.hold import LAP_POINTS
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import RunOptions
 from frogkick.runs.decision import Decision
-from frogkick.runs.holding import AGAIN_POINTS, SHIFT_GAIN, SHIFT_MAX_M, Holding
 from frogkick.runs.live_log import SPEED_MAX_MPS, logged
+from frogkick.runs.path_change import AGAIN_POINTS, SHIFT_GAIN, SHIFT_MAX_M, Holding
 from frogkick.runs.runlog_file import read_run
 
 HOLD_S = 80.0

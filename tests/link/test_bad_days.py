@@ -29,8 +29,7 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs import session as session_module
 from frogkick.runs.closed_loop import ENDED, FixSource, Recording, RunOptions, run_session
-from frogkick.runs.lab_port import LabPort
-from frogkick.runs.lab_session import CLOCK_SAMPLES, LabSession, lab_session
+from frogkick.runs.lab_session import CLOCK_SAMPLES, LabPort, LabSession, lab_session
 from frogkick.runs.live_log import LiveLog, logged, part_of
 from frogkick.runs.runlog import Fixes
 from frogkick.runs.runlog_file import read_run

@@ -20,8 +20,7 @@ from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import STOPPED, RunOptions, run_session
-from frogkick.runs.lab_port import LabPort
-from frogkick.runs.lab_session import LabSession
+from frogkick.runs.lab_session import LabPort, LabSession
 
 PERIOD_S = rig.PERIOD_S
 STATE = link_layout().state

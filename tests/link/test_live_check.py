@@ -20,8 +20,7 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import TIME, RunOptions, run_session
 from frogkick.runs.decision import LiveCheck
-from frogkick.runs.lab_port import LabPort
-from frogkick.runs.lab_session import LabSession
+from frogkick.runs.lab_session import LabPort, LabSession
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import Session

@@ -27,8 +27,7 @@ from frogkick.link.upload import upload
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import RunOptions, run_session
-from frogkick.runs.lab_port import LabPort
-from frogkick.runs.lab_session import LabSession, lab_session
+from frogkick.runs.lab_session import LabPort, LabSession, lab_session
 from frogkick.runs.pushing import own
 from frogkick.runs.session import LinkError
 

@@ -35,8 +35,7 @@ from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.runs.closed_loop import DROPPED, ENDED, TIME, RunOptions, run_session
 from frogkick.runs.decision import DecisionTwin, LiveCheck
-from frogkick.runs.lab_port import LabPort
-from frogkick.runs.lab_session import LabSession
+from frogkick.runs.lab_session import LabPort, LabSession
 from frogkick.runs.path_change import NextPath
 from frogkick.runs.record import run_log, tracking_of_recording
 from frogkick.runs.runlog_file import read_run

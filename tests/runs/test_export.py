@@ -201,5 +201,5 @@ def test_a_package_that_is_not_there_is_named(
 ) -> None:
     monkeypatch.setattr(extras, "installed", lambda package: package != "mcap")
     with pytest.raises(InputError, match=r"MCAP needs the package 'mcap'.*pip install 'frogkick\[mcap\]'"):
-        export_mcap(swum, tmp_path / "run.mcap")
+        fk.Run(**vars(swum)).export_mcap(tmp_path / "run.mcap")
     assert not list(tmp_path.iterdir())

@@ -156,9 +156,9 @@ def _single(
             if done % 100 == 0 or done == chip_states:
                 progress(done, chip_states)
 
-        places["chip"] = lambda queries, depths, use, along: chip.decide(
-            queries, depths, use, along, show_progress
-        )
+        places["chip"] = lambda queries, depths, use, along: chip.plan(
+            queries, depths, use, along, show_progress, counted=False
+        )[0]
         reports += [one for one in compare(cases.head(chip_states), places) if one.second == "chip"]
     return reports
 

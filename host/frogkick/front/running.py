@@ -60,7 +60,6 @@ from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions, require_seed, require_time, run_session
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
-from frogkick.runs.export_mcap import export_mcap
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.record import (
     BATTERY_V,
@@ -142,6 +141,9 @@ class Run(RunLog):
         Returns:
             The number of messages of each topic.
         """
+        require("MCAP", *EXTRAS["mcap"])
+        from frogkick.runs.export_mcap import export_mcap
+
         return export_mcap(self, Path(file))
 
     def to_pandas(self) -> dict[str, DataFrame]:

@@ -25,23 +25,16 @@ PLAN_TIMEOUT_S = 30.0  # four levels of 32 actions take long
 
 @dataclass
 class ChipReport:
-    """Result of the tests.
+    """Result of the tests."""
 
-    Attributes:
-        checks: name -> passed.
-        plan_ms, plan_cycles: computing time of a plan at the path's start for each depth ("1" to "4"), by the
-            cycle model of the virtual chip.
-        stack_bytes: deepest use of the stack.
-        stack_bound_bytes: upper bound of it over all paths through the machine code.
-        stack_chain: functions on the path with that bound, from reset on.
-    """
-
-    checks: dict[str, bool] = field(default_factory=dict)
+    checks: dict[str, bool] = field(default_factory=dict)  # name -> passed
+    # plan_ms, plan_cycles: computing time of a plan at the path's start for each depth ("1" to "4"), by the
+    # cycle model of the virtual chip
     plan_ms: dict[str, float] = field(default_factory=dict)
     plan_cycles: dict[str, int] = field(default_factory=dict)
-    stack_bytes: int = 0
-    stack_bound_bytes: int = 0
-    stack_chain: tuple[str, ...] = ()
+    stack_bytes: int = 0  # deepest use of the stack
+    stack_bound_bytes: int = 0  # upper bound of it over all paths through the machine code
+    stack_chain: tuple[str, ...] = ()  # functions on the path with that bound, from reset on
 
     @property
     def passed(self) -> bool:

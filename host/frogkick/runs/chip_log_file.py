@@ -22,16 +22,10 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class FetchedLog:
-    """A log and its robot.
+    """A log and its robot."""
 
-    Attributes:
-        robot_id: from HELLO.
-        table_crc: of the table in use when the log was fetched.
-        log: the log.
-    """
-
-    robot_id: str
-    table_crc: int
+    robot_id: str  # from HELLO
+    table_crc: int  # of the table in use when the log was fetched
     log: ChipLog
 
     def summary(self) -> dict[str, Any]:

@@ -30,36 +30,25 @@ _TABLE_COMMANDS = ("TABLE_BEGIN", "TABLE_COMMIT", "TABLE_ROLLBACK")
 
 @dataclass(frozen=True)
 class Mismatch:
-    """A record that the replay does not reproduce.
+    """A record that the replay does not reproduce."""
 
-    Attributes:
-        offset, time_us: of the record.
-        place: "core", "twin", or "log" where the record itself is damaged.
-        what: what differs.
-    """
-
+    # offset, time_us: of the record
     offset: int
     time_us: int
-    place: str
+    place: str  # "core", "twin", or "log" where the record itself is damaged
     what: str
 
 
 @dataclass
 class LogReplay:
-    """Result of a replay.
+    """Result of a replay."""
 
-    Attributes:
-        records, replayed: number of the log's records, and of those that were replayed.
-        segments: number of snapshots at which the replay started.
-        decisions: of the twin.
-        mismatches: in order of time.
-    """
-
+    # records, replayed: number of the log's records, and of those that were replayed
     records: int = 0
     replayed: int = 0
-    segments: int = 0
-    decisions: list[Decision] = field(default_factory=list)
-    mismatches: list[Mismatch] = field(default_factory=list)
+    segments: int = 0  # number of snapshots at which the replay started
+    decisions: list[Decision] = field(default_factory=list)  # of the twin
+    mismatches: list[Mismatch] = field(default_factory=list)  # in order of time
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,19 +27,12 @@ _POSE_MEMBERS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
 
 @dataclass(frozen=True, eq=False)
 class TimedStates:
-    """States to time.
+    """States to time."""
 
-    Attributes:
-        states: (k, 6) float32: x, y, heading in the world, velocity in the body.
-        limb_use: (k, 8) uint16.
-        along_points: (k,) float32: last place along the path, points.
-        beyond: (k,) float32: multiple of the table's range that the velocity is from.
-    """
-
-    states: Float32
-    limb_use: UInt16
-    along_points: Float32
-    beyond: Float32
+    states: Float32  # (k, 6) float32: x, y, heading in the world, velocity in the body
+    limb_use: UInt16  # (k, 8) uint16
+    along_points: Float32  # (k,) float32: last place along the path, points
+    beyond: Float32  # (k,) float32: multiple of the table's range that the velocity is from
 
     def part(self, at: int, count: int) -> TimedStates:
         """``count`` states from an index on."""
@@ -121,6 +113,7 @@ class ChipPlanner:
         limb_use: UInt16 | None = None,
         along_points: Float32 | None = None,
         progress: Callable[[int], None] = lambda _done: None,
+        counted: bool = True,
     ) -> tuple[AnyArray, Int64]:
         """Plan from many states.
 
@@ -130,45 +123,15 @@ class ChipPlanner:
             limb_use: (k, 8) recent use of each limb; None: all rested.
             along_points: (k,) last place along the path, in points; None: its start.
             progress: called with the number of states done.
+            counted: False: the same instructions, but without counting cycles: much faster.
 
         Returns:
-            (k,) ``PLAN_ROW`` and (k,) cycles of 64 MHz.
+            (k,) ``PLAN_ROW`` and (k,) cycles of 64 MHz; no cycles where they are not counted.
         """
-        cycles: list[int] = []
-
-        def counted(*pointers: int) -> int:
-            status, taken = self.chip.call("fk_plan", *pointers)
-            cycles.append(taken)
-            return status
-
-        rows = self._plan_all(self.chip, counted, (states, depths, limb_use, along_points), progress)
-        return rows, np.array(cycles, dtype=np.int64)
-
-    def decide(
-        self,
-        states: Float32,
-        depths: Int32,
-        limb_use: UInt16 | None = None,
-        along_points: Float32 | None = None,
-        progress: Callable[[int], None] = lambda _done: None,
-    ) -> AnyArray:
-        """Plan as ``plan`` does, with the same instructions, but without counting cycles: much faster."""
-        if self._uncounted is None:
-            self._uncounted = UncountedCalls(self._elf, self.chip)
-        core = self._uncounted
-        size = self._types["fk_path_t"].itemsize
-        core.ram_write(self._path, self.chip.ram_read(self._path, size))
-        given = (states, depths, limb_use, along_points)
-        return self._plan_all(core, lambda *pointers: core.call("fk_plan", *pointers), given, progress)
-
-    def _plan_all(
-        self,
-        core: VirtualChip | UncountedCalls,
-        plan: Callable[..., int],
-        given: tuple[Any, Any, Any, Any],
-        progress: Callable[[int], None],
-    ) -> AnyArray:
-        states, depths, limb_use, along_points = given
+        core: VirtualChip | UncountedCalls = self.chip
+        if not counted:
+            core = self._uncounted = self._uncounted or UncountedCalls(self._elf, self.chip)
+            core.ram_write(self._path, self.chip.ram_read(self._path, self._types["fk_path_t"].itemsize))
         asked = np.zeros(len(states), dtype=self._types["fk_state_t"])
         for member, column in zip(_POSE_MEMBERS, states.T, strict=True):
             asked[member] = column
@@ -178,17 +141,30 @@ class ChipPlanner:
             asked["along_points"] = along_points
         plans = np.zeros(len(states), dtype=self._types["fk_plan_t"])
         status = np.zeros(len(states), dtype=np.uint32)
+        cycles: list[int] = []
         pointers = (self._tables, self._path, self._config, self._state, self._plan)
         for index in range(len(states)):
             self._settings["depth"] = depths[index]
             core.ram_write(self._config, self._settings.tobytes())
             core.ram_write(self._state, asked[index].tobytes())
-            status[index] = plan(*pointers)
+            if isinstance(core, VirtualChip):
+                status[index], taken = core.call("fk_plan", *pointers)
+                cycles.append(taken)
+            else:
+                status[index] = core.call("fk_plan", *pointers)
             if status[index] == 0:
                 data = core.ram_read(self._plan, plans.itemsize)
                 plans[index] = np.frombuffer(data, dtype=plans.dtype)[0]
             progress(index + 1)
-        return _rows(status.view(np.int32), plans)
+        rows = np.zeros(len(states), dtype=PLAN_ROW)
+        for name in PLAN_ROW.names or ():
+            if name in (plans.dtype.names or ()) and name != "predicted":
+                rows[name] = plans[name]
+        rows["status"] = status.view(np.int32)
+        for column, member in enumerate(_POSE_MEMBERS):
+            rows["predicted"][:, column] = plans["predicted"][member]
+        rows["predicted_limb_use"] = plans["predicted"]["limb_use"]
+        return rows, np.array(cycles, dtype=np.int64)
 
 
 def states_for_timing(tables: Tables, path: PathLike, count: int, rng: np.random.Generator) -> TimedStates:
@@ -209,16 +185,3 @@ def states_for_timing(tables: Tables, path: PathLike, count: int, rng: np.random
     limb_use[rng.random(count) < 0.25] = 0
     along = np.clip(near - rng.exponential(0.03 * rows.shape[1], count), 0, rows.shape[1] - 1)
     return TimedStates(states.astype(np.float32), limb_use, along.astype(np.float32), far.astype(np.float32))
-
-
-def _rows(status: Int32, plans: AnyArray) -> AnyArray:
-    """Convert ``fk_plan_t`` to ``PLAN_ROW``."""
-    rows = np.zeros(len(plans), dtype=PLAN_ROW)
-    for name in PLAN_ROW.names or ():
-        if name in (plans.dtype.names or ()) and name != "predicted":
-            rows[name] = plans[name]
-    rows["status"] = status
-    for column, member in enumerate(_POSE_MEMBERS):
-        rows["predicted"][:, column] = plans["predicted"][member]
-    rows["predicted_limb_use"] = plans["predicted"]["limb_use"]
-    return rows

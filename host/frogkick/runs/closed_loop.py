@@ -31,8 +31,7 @@ from frogkick.runs.decision import (
     decision_of_event,
     events_of_frame,
 )
-from frogkick.runs.holding import Holding
-from frogkick.runs.path_change import NextPath, PathChanges, PathSender
+from frogkick.runs.path_change import Holding, NextPath, PathChanges, PathSender
 from frogkick.runs.runlog import PathChange
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
@@ -58,36 +57,28 @@ ENDED = {
 
 @dataclass
 class Recording:
-    """A run while it grows; ``record.run_log`` makes a log of it.
+    """A run while it grows; ``record.run_log`` makes a log of it."""
 
-    Attributes:
-        fixes, sent_s: fixes in the order of sending, and when each was sent, session time.
-        capture_us: capture time of each fix on the robot's clock; None if the robot refused it.
-        fix_status: the robot's answer to each fix (``frames.toml``); None if no answer came.
-        events: inputs of the robot's estimator and planner, in its order: they reproduce its decisions.
-        decisions, edges: decisions and pin edges in order.
-        then: paths that took over, and from which decision on.
-        completed: the robot reached the path's end, or held it until the run was ended.
-        ended: why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED.
-        fixes_refused: the robot's own counter.
-        first_decision_s, end_s: session time.
-        clock_offset_us: robot time minus session time; 0 in simulated time.
-    """
-
+    # fixes, sent_s: fixes in the order of sending, and when each was sent, session time
     fixes: list[Fix] = field(default_factory=list)
     sent_s: list[float] = field(default_factory=list)
+    # capture time of each fix on the robot's clock; None if the robot refused it
     capture_us: list[int | None] = field(default_factory=list)
+    # the robot's answer to each fix (``frames.toml``); None if no answer came
     fix_status: list[int | None] = field(default_factory=list)
+    # inputs of the robot's estimator and planner, in its order: they reproduce its decisions
     events: list[RobotEvent] = field(default_factory=list)
+    # decisions, edges: decisions and pin edges in order
     decisions: list[Decision] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
-    then: list[PathChange] = field(default_factory=list)
-    completed: bool = False
-    ended: str = ""
-    fixes_refused: int = 0
+    then: list[PathChange] = field(default_factory=list)  # paths that took over, and from which decision on
+    completed: bool = False  # the robot reached the path's end, or held it until the run was ended
+    ended: str = ""  # why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED
+    fixes_refused: int = 0  # the robot's own counter
+    # first_decision_s, end_s: session time
     first_decision_s: float = 0.0
     end_s: float = 0.0
-    clock_offset_us: int = 0
+    clock_offset_us: int = 0  # robot time minus session time; 0 in simulated time
 
 
 class FixSource(Protocol):
@@ -106,26 +97,16 @@ class FixSource(Protocol):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Settings of a run.
+    """Settings of a run."""
 
-    Attributes:
-        config: cost weights and depth of the planner.
-        onboard: True: the robot's planner decides; False: the twin on the host.
-        learn: whoever decides learns what the limbs have lost, and plans with it.
-        then: paths that take over during the run, in the order of their times.
-        hold_m: radius of the circle on which the robot holds at its path's end, m; None: the run ends there.
-        time_limit_s: longest time from the first decision on.
-        check: compares each decision of the robot with the host's; None: no comparison.
-        stop: polled at each step; True ends the run.
-    """
-
-    config: PlanConfig
-    onboard: bool = True
-    time_limit_s: float = 120.0
-    check: LiveCheck | None = None
-    stop: Callable[[], bool] = lambda: False
-    learn: bool = False
-    then: tuple[NextPath, ...] = ()
+    config: PlanConfig  # cost weights and depth of the planner
+    onboard: bool = True  # True: the robot's planner decides; False: the twin on the host
+    time_limit_s: float = 120.0  # longest time from the first decision on
+    check: LiveCheck | None = None  # compares each decision of the robot with the host's; None: no comparison
+    stop: Callable[[], bool] = lambda: False  # polled at each step; True ends the run
+    learn: bool = False  # whoever decides learns what the limbs have lost, and plans with it
+    then: tuple[NextPath, ...] = ()  # paths that take over during the run, in the order of their times
+    # radius of the circle on which the robot holds at its path's end, m; None: the run ends there
     hold_m: float | None = None
 
 

@@ -47,29 +47,24 @@ class Decision:
     """A decision of the robot or of the host.
 
     Attributes:
-        status: 0, or why the action is the resting one (``frames.toml``).
-        action: index in the table's actions.
-        scheduled_us: decision time on the robot's clock.
-        fix_sequence, fixes: newest fix in the estimate, and number of fixes in it.
-        path_index, nearest_state, cost, depth_reached, transitions, distance_m, along_points: as in ``Plan``.
-        estimate, predicted: (6,) float32, pose world and velocity body, before and after the action.
-        limb_use: (8,) recent use of each limb before the action.
-        lost: (8,) share of its contribution that each limb has lost, as learned so far, 0 to 32767.
-        plan_us: computing time; 0 where it was not measured.
+        path_index, nearest_state, cost, depth_reached, transitions, distance_m, along_points: as in ``Plan``
     """
 
-    status: int
-    action: int
-    scheduled_us: int
+    status: int  # 0, or why the action is the resting one (``frames.toml``)
+    action: int  # index in the table's actions
+    scheduled_us: int  # decision time on the robot's clock
+    # fix_sequence, fixes: newest fix in the estimate, and number of fixes in it
     fix_sequence: int = 0
     fixes: int = 0
     path_index: int = 0
     nearest_state: int = 0
     cost: np.float32 = np.float32(0.0)  # noqa: RUF009 - immutable
+    # estimate, predicted: (6,) float32, pose world and velocity body, before and after the action
     estimate: Float32 = field(default_factory=_no_state)
     predicted: Float32 = field(default_factory=_no_state)
-    plan_us: int = 0
-    limb_use: tuple[int, ...] = (0,) * LIMBS_MAX
+    plan_us: int = 0  # computing time; 0 where it was not measured
+    limb_use: tuple[int, ...] = (0,) * LIMBS_MAX  # (8,) recent use of each limb before the action
+    # (8,) share of its contribution that each limb has lost, as learned so far, 0 to 32767
     lost: tuple[int, ...] = NOTHING_LOST
     depth_reached: int = 0
     transitions: int = 0
@@ -92,23 +87,15 @@ class Decision:
 
 @dataclass(frozen=True)
 class RobotEvent:
-    """An input of the robot's estimator and planner: a fix, an action, an aborted run, a path, or a decision.
+    """An input of the robot's estimator and planner: a fix, action, aborted run, path, or decision."""
 
-    Attributes:
-        time_us: capture time of the fix, start of the action, or time of the decision, robot's clock.
-        pose_world: (3,) float32, of a fix only.
-        sequence: number of the fix.
-        action: of an action only: index of the one that a command began, or RESTING.
-        lost: the run ended because fixes or supply failed. Neither a fix nor a decision implies that end.
-        path: a path that takes over during the run; the robot has received it whole.
-    """
-
-    time_us: int
-    pose_world: Float32 | None = None
-    sequence: int = 0
-    action: int | None = None
+    time_us: int  # capture time of the fix, start of the action, or time of the decision, robot's clock
+    pose_world: Float32 | None = None  # (3,) float32, of a fix only
+    sequence: int = 0  # number of the fix
+    action: int | None = None  # of an action only: index of the one that a command began, or RESTING
+    # the run ended because fixes or supply failed. Neither a fix nor a decision implies that end.
     lost: bool = False
-    path: Path | None = None
+    path: Path | None = None  # a path that takes over during the run; the robot has received it whole
 
 
 def lost_text(lost: Sequence[int], limbs: Sequence[str]) -> str:

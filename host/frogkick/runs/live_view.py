@@ -45,17 +45,11 @@ def fan_of(tables: Tables, state: NDArray[np.float32], limb_use: tuple[int, ...]
 
 @dataclass(frozen=True)
 class Tree:
-    """The search tree along the chosen branch.
+    """The search tree along the chosen branch."""
 
-    Attributes:
-        branch: poses from the estimate on, one more than the branch has actions.
-        fans: for each pose but the last, (actions, 3) predicted poses after every action.
-        names: of the branch's actions.
-    """
-
-    branch: list[list[float]]
-    fans: list[FloatArray]
-    names: str
+    branch: list[list[float]]  # poses from the estimate on, one more than the branch has actions
+    fans: list[FloatArray]  # for each pose but the last, (actions, 3) predicted poses after every action
+    names: str  # of the branch's actions
 
 
 def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) -> Tree:
@@ -81,24 +75,17 @@ def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) 
 
 @dataclass
 class LiveView:
-    """The state of a run as JSON; another thread serves ``text`` to a page.
+    """The state of a run as JSON; another thread serves ``text`` to a page."""
 
-    Attributes:
-        tables, path, config: of the run; None if nothing is decided, as with a camera alone. The path is the
-            one that is followed now.
-        outline_m: (n)(2) outline of the robot, body frame.
-        limbs: their names, to tell what they have lost.
-        camera: where its pictures are shown; the state is given in their pixels too.
-        text: the newest state.
-    """
-
+    # tables, path, config: of the run; None if nothing is decided, as with a camera alone. The path is the
+    # one that is followed now.
     tables: Tables | None
     path: Path | None
     config: PlanConfig | None
-    outline_m: Sequence[tuple[float, float]]
-    camera: CameraView | None = None
-    text: str = "{}"
-    limbs: Sequence[str] = ()
+    outline_m: Sequence[tuple[float, float]]  # (n)(2) outline of the robot, body frame
+    camera: CameraView | None = None  # where its pictures are shown; the state is given in their pixels too
+    text: str = "{}"  # the newest state
+    limbs: Sequence[str] = ()  # their names, to tell what they have lost
     _decisions: int = -1
     _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
     _labels: dict[str, Any] = field(default_factory=dict)

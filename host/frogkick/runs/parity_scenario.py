@@ -34,14 +34,10 @@ _SILENCE_S = 1.2
 
 @dataclass(frozen=True, eq=False)
 class ParityScenario:
-    """A closed loop of one build of the core.
+    """A closed loop of one build of the core."""
 
-    Attributes:
-        calls: each turn of the core with its outputs.
-        decisions, events: of the core, for ``DecisionTwin``.
-    """
-
-    calls: list[CoreCall]
+    calls: list[CoreCall]  # each turn of the core with its outputs
+    # decisions, events: of the core, for ``DecisionTwin``
     decisions: list[Decision]
     events: list[RobotEvent]
 

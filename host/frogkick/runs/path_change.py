@@ -1,34 +1,44 @@
-"""Paths that take over during a run: when each is sent to the robot, and from which decision on it counts."""
+"""Paths that take over during a run: when each is sent to the robot, and from which decision on it counts.
+
+Also ``run --hold``: which path holds a robot at the end of the one that it follows.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from frogkick.core.arrays import Float64
 from frogkick.core.poses import Fix
 from frogkick.link.frames import Frame, path_frames
 from frogkick.link.layout import link_layout
 from frogkick.paths import Path
+from frogkick.paths.hold import LAP_POINTS, LEAD, Hold, hold_at_end
 from frogkick.runs.decision import STALE, Decision
-from frogkick.runs.holding import Holding
-from frogkick.runs.runlog import PathChange
+from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session
 
 TRIES = 3
+HOLD_LIMIT_M = 0.1
+"""From the end of a path: a robot that holds there shall stay as near."""
+AGAIN_POINTS = 2
+"""Points of its second lap after which a robot is sent laps again: it goes on in their first lap."""
+SHIFT_GAIN = 0.7
+"""Share of how far the last lap's circle lay beside the end by which the next laps are moved against it."""
+SHIFT_MAX_M = 0.08
+"""Largest distance of a circle's centre from the end."""
 
 
 @dataclass(frozen=True, eq=False)
 class NextPath:
-    """A path that takes over during a run.
+    """A path that takes over during a run."""
 
-    Attributes:
-        path: where to swim then, world frame.
-        at_s: when, since the first decision.
-        here: the path is moved, so that it begins where the robot then is, and leads where it points.
-    """
-
-    path: Path
-    at_s: float
+    path: Path  # where to swim then, world frame
+    at_s: float  # when, since the first decision
+    # the path is moved, so that it begins where the robot then is, and leads where it points
     here: bool = False
 
 
@@ -78,19 +88,81 @@ class PathSender:
         return path
 
 
-@dataclass
-class PathChanges:
-    """The paths that follow a run's first one.
+class Holding:
+    """Sends a join and laps before a path ends, and laps again after each lap.
+
+    A current or a worn limb carries the robot away from its circle. So laps are moved against the mean
+    offset of the lap before (an integral controller).
 
     Attributes:
-        planned: in the order of their times.
-        made: those that are followed already.
-        holding: holds at the end of whatever path is followed; None: the run ends there.
+        began: the robot has come to the circle about the end of its path.
     """
 
-    planned: Sequence[NextPath]
-    made: list[PathChange] = field(default_factory=list)
-    holding: Holding | None = None
+    def __init__(self, path: Path, radius_m: float) -> None:
+        """Begin with a run's first path; the circle's radius is in m."""
+        self._radius_m = radius_m
+        self._shift_m = np.zeros(2)
+        self._follow(path)
+
+    def _follow(self, path: Path) -> None:
+        """A path that leads on is followed: it ends a hold."""
+        self._hold: Hold = hold_at_end(path, self._radius_m)
+        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+        # Early enough that it arrives, and late enough that the robot goes on where it is.
+        early_m = self._hold.leave_m - (LEAD - 0.5) * self._radius_m
+        is_short = self._hold.leave_m > along_m[-1]
+        self._send_at = 0 if is_short else int(np.searchsorted(along_m, early_m))
+        self._circle_point: int | None = None
+        self._laps = self._hold.laps
+        self._beside_m: list[Float64] = []  # the robot's offset from its place on the path, in a lap
+        self._is_sent = self.began = False
+
+    def due(self, decisions: Sequence[Decision]) -> Path | None:
+        """The path to send now, or None."""
+        if self._is_sent or not decisions or decisions[-1].status != 0:
+            return None
+        if decisions[-1].path_index < self._send_at:
+            return None
+        self._is_sent = True
+        if self._circle_point is None:
+            return self._hold.entry
+        if self._beside_m:
+            shift_m = self._shift_m - SHIFT_GAIN * (self._shift_m + np.mean(self._beside_m, axis=0))
+            self._shift_m = shift_m * SHIFT_MAX_M / max(float(np.hypot(*shift_m)), SHIFT_MAX_M)
+        self._laps = self._hold.laps.place((*self._shift_m.tolist(), 0.0))
+        return self._laps
+
+    def followed(self, path: Path) -> tuple[float, float, int] | None:
+        """Take note that a path has taken over; return what a log says of one that holds, else None."""
+        if path is self._hold.entry:
+            self._circle_point = self._hold.circle_point
+        elif path is self._laps:
+            self._circle_point = 0
+        else:
+            self._follow(path)
+            return None
+        self._send_at = self._circle_point + LAP_POINTS + AGAIN_POINTS
+        self._along, self._circle, self._beside_m = np.arange(len(path)), path.points_m, []
+        self._is_sent = False
+        return (*self._hold.end_m, self._circle_point)
+
+    def decided(self, decision: Decision) -> None:
+        """Take note of a decision: the hold begins where the robot comes to the circle."""
+        if self._circle_point is None or decision.status == STALE:
+            return
+        if decision.path_index >= self._circle_point:
+            self.began = True
+            place = [np.interp(decision.along_points, self._along, column) for column in self._circle.T]
+            self._beside_m.append(decision.estimate[:2] - place)
+
+
+@dataclass
+class PathChanges:
+    """The paths that follow a run's first one."""
+
+    planned: Sequence[NextPath]  # in the order of their times
+    made: list[PathChange] = field(default_factory=list)  # those that are followed already
+    holding: Holding | None = None  # holds at the end of whatever path is followed; None: the run ends there
     _begun: int = 0
     _arrived: Path | None = None
 
@@ -128,3 +200,35 @@ class PathChanges:
     def holds(self) -> bool:
         """Whether the robot has come to circle the end of its path."""
         return self.holding is not None and self.holding.began
+
+
+def hold_spans(
+    time_s: Float64, path_index: Sequence[int], changes: Sequence[PathChange]
+) -> list[tuple[float, float, tuple[float, float]]]:
+    """Begin and end of each time on a circle, s, and the end that it is about.
+
+    Args:
+        time_s, path_index: of each decision.
+        changes: the paths that took over.
+    """
+    index = np.asarray(path_index)
+    spans: list[tuple[float, float, tuple[float, float]]] = []
+    goes_on = False
+    for change, following in zip(changes, (*changes[1:], None), strict=False):
+        if change.hold is None:
+            goes_on = False
+            continue
+        last = len(time_s) if following is None else following.decision
+        there = np.arange(change.decision, last)
+        on = there if goes_on else there[index[there] >= change.hold[2]]
+        if len(on):
+            until_s = math.inf if following is None else float(time_s[last])
+            spans.append((float(time_s[on[0]]), until_s, change.hold[:2]))
+            goes_on = True
+    return spans
+
+
+def spans_of(run: RunLog) -> list[tuple[float, float, tuple[float, float]]]:
+    """``hold_spans`` of a run; a log without places on its path has none."""
+    index = run.decisions.extra.get("path_index")
+    return [] if index is None else hold_spans(run.decisions.time_s, index.tolist(), run.then)

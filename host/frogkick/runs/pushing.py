@@ -15,21 +15,13 @@ REST_S = 1.0  # beyond the longest rest that a limb may need after its last puls
 
 @dataclass(frozen=True)
 class Pushed:
-    """Result of a push or a rollback.
+    """Result of a push or a rollback."""
 
-    Attributes:
-        bytes_sent: of the image, without what the robot had already.
-        resumed_at: offset at which an earlier transfer was resumed; 0: none.
-        table_crc: CRC-32 of the table that the robot uses now.
-        kept_crc: CRC-32 of the previous table, which it keeps.
-        took_s: session time.
-    """
-
-    bytes_sent: int
-    resumed_at: int
-    table_crc: int
-    kept_crc: int
-    took_s: float
+    bytes_sent: int  # of the image, without what the robot had already
+    resumed_at: int  # offset at which an earlier transfer was resumed; 0: none
+    table_crc: int  # CRC-32 of the table that the robot uses now
+    kept_crc: int  # CRC-32 of the previous table, which it keeps
+    took_s: float  # session time
 
     def as_json(self) -> dict[str, float | int | str]:
         """Keys of the commands; CRCs as hexadecimal text."""

@@ -38,19 +38,14 @@ _COORDINATE_MOST = 1e6  # of a fix, m or rad: beyond any pool, and within float3
 
 @dataclass(frozen=True)
 class Replay:
-    """Result of a replay.
+    """Result of a replay."""
 
-    Attributes:
-        actions: name of each decision's action, of the robot where it took part, else of the host.
-        recorded: the same of the recorded run; None where unknown.
-        onboard, host: decisions of each; empty without it.
-        differences: (decision, fields that differ) between robot and host, bit by bit.
-    """
-
-    actions: list[str]
-    recorded: list[str | None]
+    actions: list[str]  # name of each decision's action, of the robot where it took part, else of the host
+    recorded: list[str | None]  # the same of the recorded run; None where unknown
+    # onboard, host: decisions of each; empty without it
     onboard: list[Decision]
     host: list[Decision]
+    # (decision, fields that differ) between robot and host, bit by bit
     differences: list[tuple[int, list[str]]]
 
     @property
@@ -62,20 +57,15 @@ class Replay:
 
 @dataclass(frozen=True)
 class Schedule:
-    """A run on the robot's clock.
+    """A run on the robot's clock."""
 
-    Attributes:
-        fixes: (arrival, fix), robot time in s, in order of arrival.
-        first_us, period_us, decisions: time of the first decision, period, and number of decisions.
-        then: paths that take over.
-        strokes: index of the action that was swum after each decision; None: not known.
-    """
-
-    fixes: list[tuple[float, Fix]]
+    fixes: list[tuple[float, Fix]]  # (arrival, fix), robot time in s, in order of arrival
+    # first_us, period_us, decisions: time of the first decision, period, and number of decisions
     first_us: int
     period_us: int
     decisions: int
-    then: tuple[PathChange, ...] = ()
+    then: tuple[PathChange, ...] = ()  # paths that take over
+    # index of the action that was swum after each decision; None: not known
     strokes: tuple[int | None, ...] = ()
 
 

@@ -52,22 +52,15 @@ class Arrival:
 
 @dataclass
 class Session:
-    """A session with a robot.
+    """A session with a robot."""
 
-    Attributes:
-        port: the robot.
-        on_step: called after each step with the new time and the pin edges of the step.
-        time_s: session time, from 0.
-        edges: pin edges so far.
-        conversation: number of this session; it differs for each session with the same robot.
-        key_file: file of the owner's key, for a robot that has one; None: ``default_key_file``.
-    """
-
-    port: RobotPort
+    port: RobotPort  # the robot
+    # called after each step with the new time and the pin edges of the step
     on_step: Callable[[float, Sequence[Edge]], None] = lambda _time_s, _edges: None
-    time_s: float = 0.0
-    edges: list[Edge] = field(default_factory=list)
-    conversation: int = 1
+    time_s: float = 0.0  # session time, from 0
+    edges: list[Edge] = field(default_factory=list)  # pin edges so far
+    conversation: int = 1  # number of this session; it differs for each session with the same robot
+    # file of the owner's key, for a robot that has one; None: ``default_key_file``
     key_file: FilePath | None = None
     _auth: auth.CommandCodes | None = None
     _sequence: int = 0

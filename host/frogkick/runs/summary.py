@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
-from frogkick.runs.holding import spans_of
+from frogkick.runs.path_change import spans_of
 from frogkick.runs.record import BATTERY_V, Tracking, along_paths
 from frogkick.runs.runlog import RunLog
 
@@ -68,15 +68,11 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Errors of the model's predictions, one row for each period with a prediction and a true end.
+    """Errors of the model's predictions, one row for each period with a prediction and a true end."""
 
-    Attributes:
-        time_s: (n,) decision time.
-        gap_body: (n, 3) true minus predicted pose: forward, left (m) in the body frame at the decision, and
-            heading (rad), wrapped.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  # (n,) decision time
+    # (n, 3) true minus predicted pose: forward, left (m) in the body frame at the decision, and heading
+    # (rad), wrapped
     gap_body: FloatArray
 
     @property
@@ -143,17 +139,11 @@ def track_of(run: RunLog) -> tuple[FloatArray, FloatArray, str]:
 
 @dataclass(frozen=True)
 class Bends:
-    """How sharply a path bends, compared with the turns of the robot on it.
+    """How sharply a path bends, compared with the turns of the robot on it."""
 
-    Attributes:
-        step_m: distance along the path in one period.
-        asked_rad: largest change of the path's direction over that distance.
-        turned_rad: largest turn of the robot in a period.
-    """
-
-    step_m: float
-    asked_rad: float
-    turned_rad: float
+    step_m: float  # distance along the path in one period
+    asked_rad: float  # largest change of the path's direction over that distance
+    turned_rad: float  # largest turn of the robot in a period
 
     @property
     def too_tight(self) -> bool:

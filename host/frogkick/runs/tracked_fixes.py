@@ -195,17 +195,11 @@ def parse_line(text: str) -> tuple[float, tuple[float, float, float]]:
 
 @dataclass(frozen=True)
 class Sighting:
-    """A picture and the tag in it.
+    """A picture and the tag in it."""
 
-    Attributes:
-        image: (height, width) grey or (height, width, 3) BGR; read-only.
-        captured_s: capture time on the fixes' clock.
-        corners_px: (4, 2) of the tag, trusted or not; None without a tag.
-    """
-
-    image: UInt8
-    captured_s: float
-    corners_px: Float64 | None
+    image: UInt8  # (height, width) grey or (height, width, 3) BGR; read-only
+    captured_s: float  # capture time on the fixes' clock
+    corners_px: Float64 | None  # (4, 2) of the tag, trusted or not; None without a tag
 
 
 class CameraFixes(FixBuffer):

@@ -29,52 +29,36 @@ SLIP_EVERY_S = 15.0
 
 @dataclass(frozen=True)
 class Slip:
-    """A change of the clock's phase.
+    """A change of the clock's phase."""
 
-    Args:
-        time_s: the last decision before it.
-        until_s: the first decision after it.
-        jump_s: change of the phase, within half a period; positive: later.
-    """
-
-    time_s: float
-    until_s: float
-    jump_s: float
+    time_s: float  # the last decision before it
+    until_s: float  # the first decision after it
+    jump_s: float  # change of the phase, within half a period; positive: later
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Stroke clock: decision k is at phase_s + k * period_s, until it slips.
+    """Stroke clock: decision k is at phase_s + k * period_s, until it slips."""
 
-    Args:
-        period_s, phase_s: s; the phase is that of the first label that fires.
-        period_std_s, phase_std_s: standard uncertainty, s.
-        slack_s: largest range of the phases within the labels' bounds, s; negative: size of the
-            contradiction.
-        resultant: mean resultant length of the changes of label about the clock, 0 to 1.
-        labels: number of these changes.
-        motion_power: power of the speed's fundamental at this period over its noise; about 1 without one.
-        other_period_s, other_resultant: the next best period; NaN if there is none.
-        margin: nats by which the period is better than that one; infinite if there is none.
-        slips: in order.
-        starts_s: (m,) s, of all decisions until the end of the run.
-        problem: why the clock is not usable, or "".
-    """
-
+    # period_s, phase_s: s; the phase is that of the first label that fires
     period_s: float
     phase_s: float
+    # period_std_s, phase_std_s: standard uncertainty, s
     period_std_s: float
     phase_std_s: float
+    # largest range of the phases within the labels' bounds, s; negative: size of the contradiction
     slack_s: float
-    resultant: float
-    labels: int
-    motion_power: float
+    resultant: float  # mean resultant length of the changes of label about the clock, 0 to 1
+    labels: int  # number of these changes
+    motion_power: float  # power of the speed's fundamental at this period over its noise; about 1 without one
+    # other_period_s, other_resultant: the next best period; NaN if there is none
     other_period_s: float
     other_resultant: float
-    margin: float
-    slips: tuple[Slip, ...] = ()
+    margin: float  # nats by which the period is better than that one; infinite if there is none
+    slips: tuple[Slip, ...] = ()  # in order
+    # (m,) s, of all decisions until the end of the run
     starts_s: Float64 = field(default_factory=lambda: np.empty(0))
-    problem: str = ""
+    problem: str = ""  # why the clock is not usable, or ""
 
 
 def estimate_clock(

@@ -34,19 +34,15 @@ CANDIDATES, SAME = 5, 0.03
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Evidence for a clock: bounds of the labels, and speed without its slow part.
+    """Evidence for a clock: bounds of the labels, and speed without its slow part."""
 
-    Args:
-        earliest, latest: (n,) s, bounds of the changes of label; earliest may be -inf.
-        time_s, speed: (k,) of pairs of frames, speed over its standard deviation; empty without motion.
-        end_s: s, of the run.
-    """
-
+    # earliest, latest: (n,) s, bounds of the changes of label; earliest may be -inf
     earliest: Float64
     latest: Float64
+    # time_s, speed: (k,) of pairs of frames, speed over its standard deviation; empty without motion
     time_s: Float64
     speed: Float64
-    end_s: float
+    end_s: float  # s, of the run
 
     @property
     def votes(self) -> Bool:
@@ -65,17 +61,12 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A period with the pieces between its slips.
-
-    Args:
-        score: nats.
-        resultant: see Clock.
-        pieces: (first time, last time, phase) of each, s, with the events at its ends.
-    """
+    """A period with the pieces between its slips."""
 
     period_s: float
-    score: float
-    resultant: float
+    score: float  # nats
+    resultant: float  # see Clock
+    # (first time, last time, phase) of each, s, with the events at its ends
     pieces: tuple[tuple[float, float, float], ...]
 
 

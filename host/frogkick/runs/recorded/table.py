@@ -49,25 +49,15 @@ MISDETECTED_ROWS_MAX = 3
 
 @dataclass(frozen=True)
 class Table:
-    """The rows as recorded.
+    """The rows as recorded."""
 
-    Args:
-        started: the logger's own date and time text.
-        time_s: (n,) s from the first row, not decreasing (midnight is carried over).
-        carried: (n,) bool, rows whose stamp had a day added.
-        pose_world: (n,3) x m, y m, theta rad, as recorded.
-        velocity_world: (n,3) m/s, m/s, rad/s, as recorded.
-        cost: (n,4) total, distance, angle, progress.
-        action: (n,) index into ACTION_NAMES.
-    """
-
-    started: str
-    time_s: Float64
-    carried: Bool
-    pose_world: Float64
-    velocity_world: Float64
-    cost: Float64
-    action: Int64
+    started: str  # the logger's own date and time text
+    time_s: Float64  # (n,) s from the first row, not decreasing (midnight is carried over)
+    carried: Bool  # (n,) bool, rows whose stamp had a day added
+    pose_world: Float64  # (n,3) x m, y m, theta rad, as recorded
+    velocity_world: Float64  # (n,3) m/s, m/s, rad/s, as recorded
+    cost: Float64  # (n,4) total, distance, angle, progress
+    action: Int64  # (n,) index into ACTION_NAMES
 
 
 def read_table(file: pathlib.Path | str) -> Table:

@@ -55,7 +55,7 @@ def main(seconds: float) -> None:
         robot = LiveRobot()
         with (
             rigged("serial", robot, Path(folder), patch) as there,
-            logged(Path(folder) / "run.h5", rig.robot(), rig.tables(), options, "bench")(path) as keep,
+            logged(Path(folder) / "run.h5", rig.robot(), rig.tables(), path, options, "bench") as keep,
         ):
             camera = CameraFixes(filmed(), calibration(SCENE), "camera")
             camera.wait_first(10.0)

@@ -165,7 +165,7 @@ def test_a_log_in_progress_has_room_for_its_paths(tmp_path: Path, swum: Path) ->
     whole = read_run(swum)
     options = RunOptions(PlanConfig(), time_limit_s=HOLD_S, hold_m=0.075)
     assert whole.path is not None
-    with logged(tmp_path / "a.h5", rig.robot(), rig.tables(), options, "test")(whole.path):
+    with logged(tmp_path / "a.h5", rig.robot(), rig.tables(), whole.path, options, "test"):
         assert read_run(tmp_path / "a.h5.part").then == ()
         with h5py.File(tmp_path / "a.h5.part", "r", swmr=True) as file:
             room = sum(name.isdigit() for name in file["then"])

@@ -68,7 +68,7 @@ class Day:
         options: RunOptions = OPTIONS,
         decided: Callable[[], None] = lambda: None,
     ) -> Recording:
-        with logged(self.folder / "run.h5", rig.robot(), rig.tables(), options, "test")(path) as keep:
+        with logged(self.folder / "run.h5", rig.robot(), rig.tables(), path, options, "test") as keep:
             return run_session(
                 self.session, source, rig.tables(), path, options, lambda _t, _i: decided(), keep
             )

@@ -86,8 +86,8 @@ def test_another_entry_in_the_robot_s_table_ends_the_run(
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         source = LivePool(robot.pulses, robot.clock)
-        log = logged(tmp_path / "run.h5", rig.robot(), rig.tables(), options, "test")
-        with log(shape(PATH)) as keep, pytest.raises(CheckError, match=r"decision \d+ .* every bit") as said:
+        log = logged(tmp_path / "run.h5", rig.robot(), rig.tables(), shape(PATH), options, "test")
+        with log as keep, pytest.raises(CheckError, match=r"decision \d+ .* every bit") as said:
             run_session(session, source, rig.tables(), shape(PATH), options, keep=keep)
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
     assert "\n" not in str(said.value) and "did not confirm DISARM" not in str(said.value)

@@ -48,8 +48,8 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
     """Also while the run goes on: a reader never meets half a row."""
     robot, target, seen = LiveRobot(), tmp_path / "run.h5", []
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
-        begin = logged(target, rig.robot(), rig.tables(), OPTIONS, "test", {BATTERY_V: 11.7})
-        with begin(shape(PATH)) as keep:
+        known = {BATTERY_V: 11.7}
+        with logged(target, rig.robot(), rig.tables(), shape(PATH), OPTIONS, "test", known) as keep:
 
             def keep_and_look(recording: Recording) -> None:
                 keep(recording)
@@ -101,7 +101,7 @@ def test_a_log_in_progress_tells_what_limbs_have_lost(tmp_path: Path) -> None:
     options, target = replace(OPTIONS, learn=True), tmp_path / "run.h5"
     lost = [(0,) * 8, (300, 0, 20_000, 0, 0, 0, 0, 0)]
     recording = Recording(decisions=[Decision(0, 0, 10**6 * (at + 1), lost=lost[at]) for at in range(2)])
-    with logged(target, rig.robot(), rig.tables(), options, "test")(shape(PATH)) as keep:
+    with logged(target, rig.robot(), rig.tables(), shape(PATH), options, "test") as keep:
         keep(recording)
     live = read_run(part_of(target))
     assert live.decisions.extra["lost"].tolist() == [list(row) for row in lost]
@@ -140,8 +140,8 @@ def test_a_log_cut_amid_a_row_is_read_up_to_the_row_before(tmp_path: Path) -> No
 
 def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
-    begin = logged(tmp_path / "file" / "run.h5", rig.robot(), rig.tables(), OPTIONS, "test")
-    with pytest.raises(InputError, match="choose another --out"), begin(shape(PATH)):
+    log = logged(tmp_path / "file" / "run.h5", rig.robot(), rig.tables(), shape(PATH), OPTIONS, "test")
+    with pytest.raises(InputError, match="choose another --out"), log:
         pass
 
 

@@ -132,7 +132,7 @@ def test_what_is_drawn_and_exported(swum: tuple[Recording, RunLog]) -> None:
 def test_the_log_of_a_run_that_goes_on_has_its_paths(tmp_path: FilePath) -> None:
     target, seen = tmp_path / "run.h5", []
     options = RunOptions(PlanConfig(depth=1), True, LIMIT_S, then=THEN)
-    with logged(target, rig.robot(), rig.tables(), options, "test")(shape("line")) as keep:
+    with logged(target, rig.robot(), rig.tables(), shape("line"), options, "test") as keep:
 
         def keep_and_look(recording: Recording) -> None:
             keep(recording)

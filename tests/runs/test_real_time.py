@@ -15,19 +15,19 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import DecisionTwin, warm_up
-from frogkick.runs.lab_session import SWITCH_S, real_time_guard
+from frogkick.runs.lab_session import SWITCH_S, LabSession
 from frogkick.runs.live_log import LiveLog, logged, part_of
 from frogkick.runs.runlog_file import read_run
 
 
 def stop_at_once() -> None:
-    with real_time_guard():
+    with LabSession.real_time_guard():
         raise KeyboardInterrupt
 
 
 def test_threads_give_way_soon_and_what_is_there_is_not_looked_through() -> None:
     before_s, frozen = sys.getswitchinterval(), gc.get_freeze_count()
-    with real_time_guard():
+    with LabSession.real_time_guard():
         assert sys.getswitchinterval() == pytest.approx(SWITCH_S) and before_s > SWITCH_S
         assert gc.get_freeze_count() > frozen + 10_000
     assert (sys.getswitchinterval(), gc.get_freeze_count()) == (before_s, 0)
@@ -93,8 +93,8 @@ def test_nobody_waits_for_a_disk_that_is_slow(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(LiveLog, "_write", slow)
     target = tmp_path / "run.h5"
-    begin = logged(target, rig.robot(), rig.tables(), RunOptions(options.config), "test")
-    with begin(shape("line")) as keep:
+    plain = RunOptions(options.config)
+    with logged(target, rig.robot(), rig.tables(), shape("line"), plain, "test") as keep:
         grown = Recording()
         for row, fix in enumerate(recording.fixes):
             grown.fixes.append(fix)

@@ -336,13 +336,13 @@ def run(
             owner = None if key is None else Path(key)
             film = target if video else None
             bench = Bench(robot, dialect, sight, battery_v, film, operator, wire, owner, view)
-            log = logged(target, described, used.tables, options, name, known)
 
             @contextmanager
             def kept(placed: SwimPath, camera: CameraFixes | None, began_unix_s: float) -> Iterator[Keep]:
                 made.update(made_of(described, used.tables, began_unix_s))
                 drawn = viewed(view, described, used.tables, placed, options, camera=camera, stop=stopped.set)
-                with log(placed, made) as write, drawn as draw:
+                log = logged(target, described, used.tables, placed, options, name, known, made)
+                with log as write, drawn as draw:
                     yield _in_turn(said.keep, write, draw)
 
             stack.enter_context(reports_partial_log(target))

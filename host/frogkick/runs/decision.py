@@ -143,46 +143,6 @@ def decision_of_event(values: dict[str, Value]) -> Decision:
     )
 
 
-def decide(
-    tables: Tables,
-    config: PlanConfig,
-    estimator: Estimates,
-    follow: Follow,
-    at_us: int,
-) -> tuple[Decision, End | None]:
-    """Estimate and plan for a time as the robot does. ``follow`` is updated, the estimator is not.
-
-    A path that has come (``Follow.coming``) takes over where there is an estimate.
-
-    Returns:
-        The decision, and why it ends the run or None.
-    """
-    lost = (*tables.lost.tolist(), *(0,) * (LIMBS_MAX - len(tables.lost)))
-    resting = Decision(STALE, resting_action_of(tables), at_us, along_points=follow.along_points, lost=lost)
-    estimate = estimator.at(at_us)
-    if estimate is None:
-        return resting, None
-    follow.take_over(estimate.state[0], estimate.state[1])
-    resting = replace(
-        resting,
-        along_points=follow.along_points,
-        fix_sequence=estimate.fix_sequence,
-        fixes=estimate.fixes,
-        estimate=estimate.state,
-        limb_use=tuple(int(use) for use in estimate.limb_use),
-    )
-    try:
-        made = plan(
-            tables, follow.path, config, estimate.state, estimate.limb_use, float(follow.along_points)
-        )
-    except PlanError as error:
-        return replace(resting, status=error.status), None
-    planned = {
-        entry.name: getattr(made, entry.name) for entry in fields(made) if hasattr(resting, entry.name)
-    }
-    return replace(resting, status=0, **planned), follow.decided(made, bool(np.any(tables.lost >= LIMB_GONE)))
-
-
 class DecisionTwin:
     """Estimator and planner on the host, which decide as the robot does.
 
@@ -262,14 +222,45 @@ class DecisionTwin:
         return newest_us is None or at_us - newest_us > LOST_US
 
     def decide(self, at_us: int) -> Decision:
-        """Decide for a time on the clock of the fixes; the estimator takes the action as started."""
+        """Decide for a time on the clock of the fixes; the estimator takes the action as started.
+
+        A path that has come takes over where there is an estimate.
+        """
         if self.ended is not None:
             self.restart()
-        tables = self._track.tables
-        decision, self.ended = decide(tables, self._config, self._estimator, self._follow, at_us)
+        decision = self._decision_at(at_us)
         if self.ended is None:
             self._estimator.act(at_us, decision.action)
         return decision
+
+    def _decision_at(self, at_us: int) -> Decision:
+        """Estimate and plan as the robot does; the path is followed, and ends the run where it is due."""
+        tables, follow = self._track.tables, self._follow
+        lost = (*tables.lost.tolist(), *(0,) * (LIMBS_MAX - len(tables.lost)))
+        resting = Decision(STALE, self._resting_action, at_us, along_points=follow.along_points, lost=lost)
+        estimate = self._estimator.at(at_us)
+        if estimate is None:
+            return resting
+        state = estimate.state
+        follow.take_over(state[0], state[1])
+        resting = replace(
+            resting,
+            along_points=follow.along_points,
+            fix_sequence=estimate.fix_sequence,
+            fixes=estimate.fixes,
+            estimate=state,
+            limb_use=tuple(int(use) for use in estimate.limb_use),
+        )
+        along = float(follow.along_points)
+        try:
+            made = plan(tables, follow.path, self._config, state, estimate.limb_use, along)
+        except PlanError as error:
+            return replace(resting, status=error.status)
+        planned = {
+            entry.name: getattr(made, entry.name) for entry in fields(made) if hasattr(resting, entry.name)
+        }
+        self.ended = follow.decided(made, bool(np.any(tables.lost >= LIMB_GONE)))
+        return replace(resting, status=0, **planned)
 
 
 def warm_up(tables: Tables, path: Path, config: PlanConfig) -> Decision:

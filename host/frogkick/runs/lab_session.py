@@ -10,16 +10,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any
 
 from frogkick.link.frames import Frame, FrameCollector, hello, unpack_frame
 from frogkick.link.layout import Arguments, Value
-from frogkick.link.wire import Delivery, Edge, RobotPort, Wire
+from frogkick.link.wire import Delivery, Edge, Wire
 from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, LinkError, Session
+from frogkick.runs.text_robot import TextRobot
 from frogkick.tables.image import Tables
 
 RESEND_S = 0.25
@@ -42,27 +43,6 @@ PAUSE_S = 1.0
 """A longer time between two steps means that the program was held up or its clock was set."""
 SWITCH_S = 0.002
 """Longest time that a computing thread keeps others waiting; Python's 5 ms are a quarter of a fix period."""
-
-
-class RealPort(RobotPort, Protocol):
-    """A port in real time: a ``LabPort`` or a ``TextRobot``."""
-
-    wire: Wire
-
-    @property
-    def now_s(self) -> float:
-        """Time since the port was opened."""
-
-    @property
-    def bad(self) -> int:
-        """Damaged frames so far."""
-
-    @property
-    def gaps(self) -> int:
-        """How often frames from the robot may have been lost so far."""
-
-    def forget(self, sequence: int) -> None:
-        """Stop waiting for the answer to a command."""
 
 
 @dataclass
@@ -194,7 +174,7 @@ class LabPort:
 class LabSession(Session):
     """A ``Session`` in real time."""
 
-    port: RealPort
+    port: LabPort | TextRobot
     # Random, to differ from the last one. 0 and 1 are those of simulated robots.
     conversation: int = field(default_factory=lambda: 1 + secrets.randbelow(65_535))
     # longest time that the wire may be down during a request; it does not count as waiting
@@ -218,11 +198,7 @@ class LabSession(Session):
             self._compare_clocks()
 
     def _forward_s(self) -> float:
-        """The current time.
-
-        Raises:
-            LinkError: it is earlier than before.
-        """
+        """The current time."""
         now_s = self.port.now_s
         if now_s < self.time_s - CLOCK_BACK_S and not self._clock_failed:
             self._clock_failed = True  # so that disarming the robot does not raise again
@@ -279,12 +255,7 @@ class LabSession(Session):
     def ask_all(
         self, name: str, many: Sequence[Arguments], timeout_s: float = ANSWER_TIMEOUT_S
     ) -> list[dict[str, Value]]:
-        """Send a command several times with different arguments, and wait for all answers.
-
-        Raises:
-            LinkError: an answer is missing though the wire was up.
-            WireError: the robot is gone.
-        """
+        """Send a command several times with different arguments, and wait for all answers."""
         sequences = [self.post(name, values, rows) for values, rows in many]
         answers: dict[int, dict[str, Value]] = {}
         timeout_s, waited_s, down_s = max(timeout_s, ANSWER_S), 0.0, 0.0
@@ -319,9 +290,21 @@ class LabSession(Session):
         before, self._connections = self._connections, self.port.wire.connections
         return self._connections != before
 
-    def real_time_guard(self) -> AbstractContextManager[None]:
-        """See the function of the same name."""
-        return real_time_guard()
+    @staticmethod
+    @contextmanager
+    def real_time_guard() -> Iterator[None]:
+        """Switch threads sooner, and exclude existing objects from garbage collection.
+
+        A full collection visits all objects of numba, OpenCV and other packages, which takes 0.1 s and more.
+        """
+        before_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        gc.freeze()
+        try:
+            yield
+        finally:
+            gc.unfreeze()
+            sys.setswitchinterval(before_s)
 
     @property
     def gaps(self) -> int:
@@ -329,11 +312,7 @@ class LabSession(Session):
         return self.port.gaps
 
     def robot_clock_offset_us(self) -> int:
-        """Robot time minus session time, from the quickest of some answers to STATUS.
-
-        Raises:
-            LinkError: no answer.
-        """
+        """Robot time minus session time, from the quickest of some answers to STATUS."""
         quickest_s, offset_us = float("inf"), 0
         for _ in range(CLOCK_SAMPLES):
             before_s = self.port.now_s
@@ -380,19 +359,3 @@ def stops_are_interrupts() -> Iterator[None]:
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
-
-
-@contextmanager
-def real_time_guard() -> Iterator[None]:
-    """Switch threads sooner, and exclude existing objects from garbage collection.
-
-    A full collection visits all objects of numba, OpenCV and other packages, which takes 0.1 s and more.
-    """
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-        sys.setswitchinterval(before_s)

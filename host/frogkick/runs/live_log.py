@@ -9,7 +9,7 @@ import math
 import pathlib
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import h5py
@@ -224,36 +224,33 @@ class LiveLog:
             data.flush()
 
 
+@contextmanager
 def logged(
     target: pathlib.Path | None,
     robot: Robot,
     tables: Tables,
+    path: Path,
     options: RunOptions,
     source: str,
     known: Mapping[str, float] | None = None,
-) -> Callable[..., AbstractContextManager[Callable[[Recording], None]]]:
-    """Return a function that opens a live log beside ``target`` once the path is known.
+    made: Mapping[str, str] | None = None,
+) -> Iterator[Callable[[Recording], None]]:
+    """Yield a function that keeps a recording in a live log beside ``target``; without one it has no effect.
 
-    The function takes the path and ``RunLog.made``, and yields a function that keeps a recording. Without a
-    target that one has no effect. ``known`` are numbers for ``RunLog.measured``.
+    ``known`` are numbers for ``RunLog.measured``, ``made`` is ``RunLog.made``.
     """
-
-    @contextmanager
-    def begin(path: Path, made: Mapping[str, str] | None = None) -> Iterator[Callable[[Recording], None]]:
-        if target is None:
-            yield lambda _recording: None
-            return
-        empty = run_log(Recording(), None, robot, tables, path, options, None, source, made=made)
-        planned = tuple(PathChange(-1, one.path) for one in options.then)
-        if options.hold_m is not None:  # where and when each takes over is not known yet
-            lap_s = 2.0 * math.pi * options.hold_m / SPEED_MAX_MPS
-            again = min(HOLDS_MAX, 2 * (len(planned) + 1) + math.ceil(options.time_limit_s / lap_s))
-            planned += (PathChange(-1, path, (0.0, 0.0, 0)),) * again
-        empty = replace(empty, then=planned, measured=known or {}, notes=CUT_OFF)
-        live = LiveLog(target, empty, options.onboard)
-        try:
-            yield live.keep
-        finally:
-            live.close()
-
-    return begin
+    if target is None:
+        yield lambda _recording: None
+        return
+    empty = run_log(Recording(), None, robot, tables, path, options, None, source, made=made)
+    planned = tuple(PathChange(-1, one.path) for one in options.then)
+    if options.hold_m is not None:  # where and when each takes over is not known yet
+        lap_s = 2.0 * math.pi * options.hold_m / SPEED_MAX_MPS
+        again = min(HOLDS_MAX, 2 * (len(planned) + 1) + math.ceil(options.time_limit_s / lap_s))
+        planned += (PathChange(-1, path, (0.0, 0.0, 0)),) * again
+    empty = replace(empty, then=planned, measured=known or {}, notes=CUT_OFF)
+    live = LiveLog(target, empty, options.onboard)
+    try:
+        yield live.keep
+    finally:
+        live.close()

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import AnyArray, Float32, Float64
 from frogkick.core.poses import compose, rotation
 from frogkick.paths import Path
 from frogkick.planner import lookup
@@ -22,13 +22,11 @@ from frogkick.runs.tracked_fixes import CameraView
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 
-FloatArray = NDArray[np.float64]
-
 FIXES_SHOWN = 600
 DECISIONS_SHOWN = 60
 
 
-def fan_of(tables: Tables, state: NDArray[np.float32], limb_use: tuple[int, ...]) -> FloatArray:
+def fan_of(tables: Tables, state: Float32, limb_use: tuple[int, ...]) -> Float64:
     """(actions, 3) predicted world poses after each action from a state."""
     arrays = lookup.arrays_of(tables)
     dynamics = np.zeros(lookup.DYNAMICS, dtype=np.int64)
@@ -48,7 +46,7 @@ class Tree:
     """The search tree along the chosen branch."""
 
     branch: list[list[float]]  # poses from the estimate on, one more than the branch has actions
-    fans: list[FloatArray]  # for each pose but the last, (actions, 3) predicted poses after every action
+    fans: list[Float64]  # for each pose but the last, (actions, 3) predicted poses after every action
     names: str  # of the branch's actions
 
 
@@ -57,8 +55,8 @@ def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) 
     branch = [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
     fans = [fan_of(tables, decision.estimate, decision.limb_use)]
     names = [tables.actions[decision.action].name]
-    state: NDArray[np.float32] = decision.predicted
-    use: NDArray[Any] = np.zeros(LIMBS_MAX, dtype=np.int64)
+    state: Float32 = decision.predicted
+    use: AnyArray = np.zeros(LIMBS_MAX, dtype=np.int64)
     before = np.array(decision.limb_use, dtype=np.int64)
     lookup.limb_use_after(lookup.arrays_of(tables), before, decision.action, use)
     for depth in range(config.depth - 1, 0, -1):
@@ -90,7 +88,7 @@ class LiveView:
     _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
     _labels: dict[str, Any] = field(default_factory=dict)
 
-    def show(self, recording: Recording, track: FloatArray | None = None) -> None:
+    def show(self, recording: Recording, track: Float64 | None = None) -> None:
         """Show a recording, and the (n, 3) true poses of a simulated pool."""
         if len(recording.decisions) != self._decisions:
             self._decisions = len(recording.decisions)
@@ -127,7 +125,7 @@ class LiveView:
         age_s = float(ages_s[-1]) if len(ages_s) and np.isfinite(ages_s[-1]) else None
         self._write(fixes, track, age_s, (run.notes or "so far was recorded") if is_over else "")
 
-    def _write(self, fixes: FloatArray, track: FloatArray, age_s: float | None, ended: str) -> None:
+    def _write(self, fixes: Float64, track: Float64, age_s: float | None, ended: str) -> None:
         """Write the state with (n, 3) fixes and (m, 3) true poses."""
         fixes, track = fixes[-FIXES_SHOWN:], track[-4 * FIXES_SHOWN :]
         state = {
@@ -150,7 +148,7 @@ class LiveView:
             values["camera"] = {"size": self.camera.size_px, **pixels}
         self.text = json.dumps(values)
 
-    def _outline(self, poses: FloatArray) -> FloatArray:
+    def _outline(self, poses: Float64) -> Float64:
         """(n + 2, 2) outline, centre and foremost point of the robot at the last of (m, 3) poses."""
         if not len(poses) or not len(self.outline_m):
             return np.zeros((0, 2))

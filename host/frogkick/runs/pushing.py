@@ -1,4 +1,7 @@
-"""Changes to a robot at rest over the link: a new table, the previous table, an owner's key."""
+"""Changes to a robot at rest over the link: a new table, the previous table, an owner's key.
+
+All raise ``LinkError`` where the robot has another protocol, refuses, or does not answer.
+"""
 
 from __future__ import annotations
 
@@ -64,11 +67,7 @@ def push(
 
 
 def roll_back(session: Session) -> Pushed:
-    """Let a robot return to its previous table.
-
-    Raises:
-        LinkError: it keeps none, refuses or does not answer.
-    """
+    """Let a robot return to its previous table."""
     session.hello()
     rest(session)
     session.authenticate()
@@ -103,11 +102,7 @@ def own(session: Session, release: bool = False) -> None:
 
 
 def rest(session: Session) -> None:
-    """Disarm, and wait until all limbs have rested.
-
-    Raises:
-        LinkError: it does not answer.
-    """
+    """Disarm, and wait until all limbs have rested."""
     session.ask("DISARM")  # refused only in a fault, when the outputs are off
     end_s = session.time_s + REST_S
     while session.time_s < end_s:

@@ -198,17 +198,12 @@ class Truth(_Group):
 
 @dataclass(frozen=True, eq=False)
 class PathChange:
-    """A path that took over during a run.
+    """A path that took over during a run."""
 
-    Attributes:
-        decision: the first one that follows it; -1 in a log of a run that has not got so far.
-        path: the path.
-        hold: of one that holds at the end of the path before: x and y of that end, m, world, and the index of
-            the path's first point on the circle about it; None: a path that leads on.
-    """
-
-    decision: int
-    path: Path
+    decision: int  # the first one that follows it; -1 in a log of a run that has not got so far
+    path: Path  # the path
+    # of one that holds at the end of the path before: x and y of that end, m, world, and the index of the
+    # path's first point on the circle about it; None: a path that leads on
     hold: tuple[float, float, int] | None = None
 
 

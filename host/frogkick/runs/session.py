@@ -1,4 +1,7 @@
-"""A session with a robot in simulated time: commands and their answers, and events."""
+"""A session with a robot in simulated time: commands and their answers, and events.
+
+What sends a command raises ``LinkError`` where the robot refuses it or does not answer in time.
+"""
 
 from __future__ import annotations
 
@@ -139,11 +142,7 @@ class Session:
         rows: Sequence[Sequence[Value]] = (),
         timeout_s: float = ANSWER_TIMEOUT_S,
     ) -> dict[str, Value]:
-        """Like ``request``, but return a refusal too.
-
-        Raises:
-            LinkError: no answer in time.
-        """
+        """Like ``request``, but return a refusal too."""
         return self.ask_all(name, [(values, rows)], timeout_s)[0]
 
     @property
@@ -194,7 +193,8 @@ class Session:
         """Whether the connection was lost and restored since the last call; never in simulated time."""
         return False
 
-    def real_time_guard(self) -> AbstractContextManager[None]:
+    @staticmethod
+    def real_time_guard() -> AbstractContextManager[None]:
         """Context of a run; no effect in simulated time."""
         return nullcontext()
 
@@ -211,11 +211,7 @@ class Session:
         """Check that session clock and robot clock agree on a capture time; no effect in simulated time."""
 
     def hello(self) -> dict[str, Value]:
-        """Answer to HELLO.
-
-        Raises:
-            LinkError: no answer, or the robot has another version of the protocol.
-        """
+        """Answer to HELLO."""
         answer = self._hello()
         ours = link_layout().protocol_version
         if answer["protocol_version"] != ours:
@@ -282,9 +278,6 @@ class Session:
 
         Args:
             tell: gets one line where that takes time.
-
-        Raises:
-            LinkError: no answer.
         """
         rest_s = int(self.request("STATUS")["rest_us"]) * 1e-6
         if rest_s > 0.0:
@@ -297,11 +290,7 @@ class Session:
             self.step(until_s)
 
     def send_path(self, path: Path) -> None:
-        """Send the robot its path.
-
-        Raises:
-            LinkError: the robot refuses a part of it.
-        """
+        """Send the robot its path."""
         columns = (path.x_m.tolist(), path.y_m.tolist(), path.tangent_rad.tolist())
         for values, rows in path_frames(list(zip(*columns, strict=True))):
             self.request("PATH", values, rows)

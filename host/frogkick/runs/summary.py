@@ -1,4 +1,7 @@
-"""Numbers of a run from its log, errors of its predictions, and the comparison of two runs."""
+"""Numbers of a run from its log, errors of its predictions, and the comparison of two runs.
+
+A run without decisions or poses raises ``InputError``; see ``track_of``.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
 from frogkick.runs.path_change import spans_of
 from frogkick.runs.record import BATTERY_V, Tracking, along_paths
 from frogkick.runs.runlog import RunLog
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,42 +26,33 @@ class Summary:
     """A run in numbers; None: the log does not show it.
 
     Attributes:
-        robot, source, path, period_s: as in ``RunLog``; the path's name.
-        then: names of the paths that took over.
-        duration_s: from the first decision to the end of the last one's period.
-        decisions, actions: number of decisions; action name -> how often it was chosen.
-        fixes: usable fixes.
-        fixes_lost: fixes flagged as missing, misdetected or duplicate, or refused by the robot.
-        measured_by: source of the distances: ``truth`` of a simulated pool, or ``fixes``.
-        mean_distance_m, p95_distance_m: to the path, from the first decision on.
-        progress_mps: along the path.
-        position_rmse_m, heading_rmse_rad: errors of the planner's prediction one period ahead.
-        battery_v: lowest battery voltage, measured by a person before the run.
-        clock: of a run of the paper: evidence for its stroke clock; see frogkick.runs.recorded.
-        notes: how it ended.
-        made: ``RunLog.made`` without the robot's TOML.
+        robot, source, path, period_s: as in ``RunLog``; the path's name
     """
 
     robot: str
     source: str
     path: str | None
-    then: tuple[str, ...]
-    duration_s: float
+    then: tuple[str, ...]  # names of the paths that took over
+    duration_s: float  # from the first decision to the end of the last one's period
+    # decisions, actions: number of decisions; action name -> how often it was chosen
     decisions: int
     actions: dict[str, int]
-    fixes: int
-    fixes_lost: int
-    measured_by: str
+    fixes: int  # usable fixes
+    fixes_lost: int  # fixes flagged as missing, misdetected or duplicate, or refused by the robot
+    measured_by: str  # source of the distances: ``truth`` of a simulated pool, or ``fixes``
+    # mean_distance_m, p95_distance_m: to the path, from the first decision on
     mean_distance_m: float | None
     p95_distance_m: float | None
-    progress_mps: float | None
+    progress_mps: float | None  # along the path
+    # position_rmse_m, heading_rmse_rad: errors of the planner's prediction one period ahead
     position_rmse_m: float | None
     heading_rmse_rad: float | None
-    battery_v: float | None
+    battery_v: float | None  # lowest battery voltage, measured by a person before the run
     period_s: float
+    # of a run of the paper: evidence for its stroke clock; see frogkick.runs.recorded
     clock: dict[str, float]
-    notes: str
-    made: dict[str, str]
+    notes: str  # how it ended
+    made: dict[str, str]  # ``RunLog.made`` without the robot's TOML
 
     def as_json(self) -> dict[str, Any]:
         """All fields."""
@@ -70,10 +63,10 @@ class Summary:
 class Residual:
     """Errors of the model's predictions, one row for each period with a prediction and a true end."""
 
-    time_s: FloatArray  # (n,) decision time
+    time_s: Float64  # (n,) decision time
     # (n, 3) true minus predicted pose: forward, left (m) in the body frame at the decision, and heading
     # (rad), wrapped
-    gap_body: FloatArray
+    gap_body: Float64
 
     @property
     def error(self) -> PredictionError:
@@ -81,7 +74,7 @@ class Residual:
         return PredictionError.of(self.gap_body)
 
 
-def true_poses_at(run: RunLog, time_s: ArrayLike) -> FloatArray:
+def true_poses_at(run: RunLog, time_s: ArrayLike) -> Float64:
     """(n, 3) true poses of a simulated run, interpolated; headings not wrapped."""
     if run.truth is None or len(run.truth) < 2:
         raise InputError(f"run {run.source!r} has no true poses: only a simulated run has them")
@@ -111,7 +104,14 @@ def residual(run: RunLog) -> Residual:
     return Residual(np.array(decisions.time_s[rows]), gap)
 
 
-def track_of(run: RunLog) -> tuple[FloatArray, FloatArray, str]:
+def _seen(run: RunLog) -> tuple[Float64, Float64]:
+    """Capture times and poses of the usable fixes, in order of these times."""
+    rows = np.flatnonzero(run.fixes.usable)
+    order = rows[np.argsort(run.fixes.capture_time_s[rows], kind="stable")]
+    return run.fixes.capture_time_s[order], run.fixes.pose_world[order]
+
+
+def track_of(run: RunLog) -> tuple[Float64, Float64, str]:
     """Track of a run's robot from the first decision on.
 
     Returns:
@@ -126,10 +126,7 @@ def track_of(run: RunLog) -> tuple[FloatArray, FloatArray, str]:
     if run.truth is not None and len(run.truth):
         time_s, poses, of = run.truth.time_s, run.truth.pose_world, "truth"
     else:
-        rows = np.flatnonzero(run.fixes.usable)
-        order = rows[np.argsort(run.fixes.capture_time_s[rows], kind="stable")]
-        time_s, of = run.fixes.capture_time_s[order], "fixes"
-        poses = run.fixes.pose_world[order]
+        (time_s, poses), of = _seen(run), "fixes"
     last_s = run.decisions.time_s[-1] + run.period_s
     during = (time_s >= run.decisions.time_s[0]) & (time_s <= last_s)
     if during.sum() < 2:
@@ -164,12 +161,10 @@ def bends_of(run: RunLog, progress_mps: float) -> Bends | None:
     if run.truth is not None and len(run.truth) > 1:
         headings_rad = true_poses_at(run, at_s)[:, 2]
     else:
-        rows = np.flatnonzero(run.fixes.usable)
-        if len(rows) < 2:
+        seen_s, poses = _seen(run)
+        if len(seen_s) < 2:
             return None
-        order = rows[np.argsort(run.fixes.capture_time_s[rows], kind="stable")]
-        seen_rad = np.unwrap(run.fixes.pose_world[order, 2])
-        headings_rad = np.interp(at_s, run.fixes.capture_time_s[order], seen_rad)
+        headings_rad = np.interp(at_s, seen_s, np.unwrap(poses[:, 2]))
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.path.points_m, axis=0).T))])
     tangent_rad = np.unwrap(run.path.tangent_rad)
     step_m = progress_mps * run.period_s
@@ -180,11 +175,7 @@ def bends_of(run: RunLog, progress_mps: float) -> Bends | None:
 
 
 def summary(run: RunLog) -> Summary:
-    """The numbers of a run.
-
-    Raises:
-        InputError: see ``track_of``.
-    """
+    """The numbers of a run."""
     time_s, poses, of = track_of(run)
     distances: tuple[float | None, float | None, float | None] = (None, None, None)
     if run.path is not None:
@@ -223,9 +214,6 @@ def tracking_of_log(run: RunLog) -> Tracking:
     """How well a run followed its path: the log's own numbers, else numbers computed from its track.
 
     An unknown number is NaN, an unknown number of limit violations None.
-
-    Raises:
-        InputError: see ``track_of``.
     """
     computed, held = asdict(summary(run)), run.measured
 
@@ -247,21 +235,17 @@ def tracking_of_log(run: RunLog) -> Tracking:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two runs side by side.
-
-    Attributes:
-        same_robot, same_table, same_path: None if a log does not say.
-        same_decisions: number of decisions from the first on that chose the same action in both.
-        apart_m: mean distance between the robots at equal times since the first decision, as long as both
-            swam; None if the paths differ.
-    """
+    """Two runs side by side."""
 
     a: Summary
     b: Summary
+    # same_robot, same_table, same_path: None if a log does not say
     same_robot: bool
     same_table: bool | None
     same_path: bool | None
-    same_decisions: int
+    same_decisions: int  # number of decisions from the first on that chose the same action in both
+    # mean distance between the robots at equal times since the first decision, as long as both swam; None if
+    # the paths differ
     apart_m: float | None
 
     def as_json(self) -> dict[str, Any]:
@@ -273,11 +257,7 @@ class Comparison:
 
 
 def compare_runs(a: RunLog, b: RunLog) -> Comparison:
-    """Compare two runs from each one's first decision on.
-
-    Raises:
-        InputError: see ``track_of``.
-    """
+    """Compare two runs from each one's first decision on."""
     both = list(zip(a.decided(), b.decided(), strict=False))
     same = next((k for k, (first, second) in enumerate(both) if first != second), len(both))
     same_path = None

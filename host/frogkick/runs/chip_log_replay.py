@@ -71,7 +71,7 @@ def replay_log(
     """Replay a log.
 
     Args:
-        log: the log.
+        log: the robot's.
         library: the core for this computer, made by ``firmware build --target native`` for the same robot.
         tables: tables that the robot used; segments with another table are left out.
         progress: called with the number of records done and of all records.
@@ -248,12 +248,7 @@ class ChipCore:
     """
 
     def __init__(self, library: Path, image: bytes) -> None:
-        """Load a library made by ``firmware build --target native``.
-
-        Args:
-            library: made for the same robot.
-            image: table image that the robot used.
-        """
+        """Load a library made by ``firmware build --target native``; ``image`` is the robot's table image."""
         self._ffi, self._core = load(library)
         self._image = self._ffi.new("uint64_t[]", (len(image) + 7) // 8)
         self._ffi.memmove(self._image, image, len(image))

@@ -99,12 +99,7 @@ class RobotEvent:
 
 
 def lost_text(lost: Sequence[int], limbs: Sequence[str]) -> str:
-    """What is believed lost, for people: "front_left has lost 67 %"; "" where it is nothing.
-
-    Args:
-        lost: share of each limb, 0 to 32767, as in ``Decision``.
-        limbs: their names.
-    """
+    """What limbs are believed to have lost, for people: "front_left has lost 67 %"; "": nothing."""
     shares = [(name, 100.0 * code / LOST_MAX) for name, code in zip(limbs, lost, strict=False) if code]
     return ", ".join(f"{name} has lost {share:.0f} %" for name, share in shares)
 
@@ -112,9 +107,7 @@ def lost_text(lost: Sequence[int], limbs: Sequence[str]) -> str:
 def events_of_frame(frame: Frame, poses: Mapping[int, Float32]) -> list[RobotEvent]:
     """Inputs of the robot's estimator and planner that a frame reports.
 
-    Args:
-        frame: answer to FIX, REFUSED, DECISION or ENDED; others report none.
-        poses: of the fixes without an answer so far, by the sequence number of their frame.
+    ``poses`` are of the fixes without an answer so far, by the sequence number of their frame.
     """
     values = frame.values
     if frame.name == "FIX" and values["status"] != VALUE:
@@ -159,12 +152,9 @@ class DecisionTwin:
         learn: bool = False,
         lost: Sequence[int] = NOTHING_LOST,
     ) -> None:
-        """Start at the path's begin.
+        """Start at the path's begin. Without an estimator given it is the twin of the robot's own.
 
-        Args:
-            estimator: None: the twin of the robot's own.
-            learn: the twin of the robot's own learns what the limbs have lost, and plans with it.
-            lost: the shares that it starts from, as in ``Decision``.
+        With ``learn`` that one learns what limbs have lost, from the shares ``lost`` on, and plans with it.
         """
         self._tables = tables
         self._config = config
@@ -305,23 +295,15 @@ class LiveCheck:
         learn: bool = False,
         lost: Sequence[int] = NOTHING_LOST,
     ) -> None:
-        """Start with a run's tables, placed path, and weights.
-
-        Args:
-            learn: whether the robot learns in it.
-            lost: what it already knew of its limbs, as in ``Decision``.
-        """
+        """Start a run; ``learn``, ``lost``: the robot learns in it, from what it knew of its limbs on."""
         self.agreed = self.unchecked = 0
         self._twin = DecisionTwin(tables, path, config, learn=learn, lost=lost)
         self._names = [row.name for row in tables.actions]
 
     def compare(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:
-        """Apply the events of one frame, and compare its decision.
+        """Apply the events of one frame, and compare its decision if it is one.
 
-        Args:
-            events: of the frame.
-            decision: of the frame, or None.
-            gaps: how often frames from the robot may have been lost so far.
+        ``gaps``: how often frames from the robot may have been lost so far.
 
         Raises:
             CheckError: the host's decision differs.

@@ -59,12 +59,9 @@ class LiveLog:
     """Appends and flushes rows of a run in a thread of its own, so that no fix waits for the disk."""
 
     def __init__(self, target: pathlib.Path, empty: RunLog, onboard: bool) -> None:
-        """Create the file.
+        """Create the file beside ``target``, the run's log, with the robot, path and planner of an empty log.
 
-        Args:
-            target: the run's log, not written here.
-            empty: a log of the run without rows: robot, path, planner.
-            onboard: whether decision times are on the robot's clock.
+        ``onboard``: decision times are on the robot's clock.
 
         Raises:
             InputError: the file cannot be written.

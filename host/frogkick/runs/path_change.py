@@ -167,12 +167,9 @@ class PathChanges:
     _arrived: Path | None = None
 
     def due(self, since_s: float, fixes: Sequence[Fix], decisions: Sequence[Decision]) -> Path | None:
-        """Return the path to send now, or None.
+        """Return the path to send now, ``since_s`` after the first decision, or None.
 
-        Args:
-            since_s: time since the first decision.
-            fixes: so far, of which the newest says where the robot is.
-            decisions: so far, of which the last says how far along its path the robot is.
+        The newest fix says where the robot is, and the last decision how far along its path.
         """
         if self._begun < len(self.planned) and since_s >= self.planned[self._begun].at_s:
             following = self.planned[self._begun]
@@ -205,12 +202,8 @@ class PathChanges:
 def hold_spans(
     time_s: Float64, path_index: Sequence[int], changes: Sequence[PathChange]
 ) -> list[tuple[float, float, tuple[float, float]]]:
-    """Begin and end of each time on a circle, s, and the end that it is about.
-
-    Args:
-        time_s, path_index: of each decision.
-        changes: the paths that took over.
-    """
+    """Begin and end of each time on a circle, s, and the end that it is about, by each decision's time and
+    place on its path."""
     index = np.asarray(path_index)
     spans: list[tuple[float, float, tuple[float, float]]] = []
     goes_on = False

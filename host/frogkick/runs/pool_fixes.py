@@ -43,16 +43,9 @@ class PoolFixes:
         world: World = World(),  # noqa: B008 - frozen
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start with a robot at rest.
+        """Start with a robot at rest at x_m, y_m, heading_rad.
 
-        Args:
-            robot: the swimmer.
-            tables: limbs and times of each action.
-            pose_world: x_m, y_m, heading_rad of its start.
-            rng: for the camera's noise.
-            rate_hz: of the camera.
-            world: effects in the pool.
-            clock: in s.
+        ``rng`` and ``rate_hz`` are of the simulated camera, ``world`` holds the effects in the pool.
         """
         camera = Camera(rate_hz=rate_hz, delay_s=0.0)  # LAG_S is its delay
         _warm_up(Pool(robot, pose_world, camera, np.random.default_rng(0)))
@@ -77,9 +70,7 @@ class PoolFixes:
     def follow(self, recording: Recording, onboard: bool) -> None:
         """Take the strokes that the robot has reported since the last call.
 
-        Args:
-            recording: of the run.
-            onboard: whether decision times are on the robot's clock.
+        ``onboard``: decision times are on the robot's clock.
         """
         offset_us = recording.clock_offset_us
         for decision in recording.decisions[self._decisions :]:

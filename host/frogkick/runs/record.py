@@ -92,7 +92,6 @@ def decision_columns(
     """Decisions as log columns.
 
     Args:
-        decisions: in order.
         fix_rows: row in ``fixes`` of each fix sequence number.
         clock_offset_us: robot time minus the log's.
         learn: also what each limb has lost, as learned by each decision.
@@ -353,10 +352,7 @@ def tracking_of_recording(recording: Recording, pool: Pool | None, robot: Robot,
 def along_path(path: Path, time_s: np.ndarray, poses_world: np.ndarray) -> tuple[float, float, float]:
     """Mean and 95th percentile of the distance to a path (m), and the progress along it (m/s).
 
-    Args:
-        path: the path.
-        time_s: (n,) times of the poses.
-        poses_world: (n, 3) or (n, 2) poses; fewer than two give zeros.
+    Fewer than two poses (n, 3) or (n, 2) give zeros.
     """
     return along_paths([(-np.inf, path)], time_s, poses_world)
 

@@ -125,8 +125,7 @@ def replay(
 
     Args:
         run: recorded run with its path.
-        tables: transitions for the planner.
-        config: weights and depth.
+        tables, config: for the planner.
         port: a robot with these tables that knows of its limbs what the recorded one knew at the run's start
             (``lost_at_start``); None: the host alone.
         host: whether the host's twins decide too.

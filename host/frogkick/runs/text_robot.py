@@ -35,13 +35,9 @@ class TextRobot:
     def __init__(
         self, wire: Wire, core: NativeRobot, robot: Robot, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Start the core.
+        """Start the core, a new one with the planner's table.
 
-        Args:
-            wire: its greeting is the line that sets the pulse's length, so that each connection sets it.
-            core: a new one, with the planner's table.
-            robot: with the limbs.
-            clock: in s.
+        The wire's greeting is the line that sets the pulse's length, so that each connection sets it.
 
         Raises:
             InputError: the dialect does not know a limb.

@@ -113,14 +113,7 @@ class LineFixes(FixBuffer):
         clock: Callable[[], float] = time.monotonic,
         tell: Callable[[str], None] = tell_line,
     ) -> None:
-        """Start to read.
-
-        Args:
-            file: descriptor to read from.
-            name: of the file, for people.
-            clock: in s.
-            tell: gets a line at the end of the file, in the reading thread.
-        """
+        """Start to read from a descriptor; ``tell`` gets a line at its end, in the reading thread."""
         super().__init__(name, clock)
         self._file, self._tell = file, tell
         threading.Thread(target=self._read, name=name, daemon=True).start()
@@ -221,14 +214,7 @@ class CameraFixes(FixBuffer):
         name: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start to find fixes.
-
-        Args:
-            frames: pictures of the camera.
-            calibration: of the camera.
-            name: of the camera, for people.
-            clock: of the live pictures' capture times, in s.
-        """
+        """Start to find fixes in a camera's pictures; ``clock`` is that of their capture times, in s."""
         super().__init__(name, clock)
         self.calibration = calibration
         self.reasons: Counter[str] = Counter()

@@ -51,18 +51,13 @@ def swim(
     """Follow a path from its first point on.
 
     Args:
-        port: the robot.
-        tables: its own.
+        port, tables: the robot, and its own tables.
         robot: the swimmer in the pool.
         name: of the path.
-        options: of the run.
+        options, source: of the run.
         seed: of the camera's noise; the log keeps the first of several.
-        source: see ``RunLog``.
         world: effects in the pool; a new object for each run.
         progress: called with the path points passed and all path points.
-
-    Raises:
-        FrogkickError: of the path, the robot or the pool.
     """
     path = shape(name)
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
@@ -89,12 +84,9 @@ def trials(
 
     Args:
         core: image of the target "native" with these tables.
-        tables: in it.
         robot: the swimmer in the pool, with the planner's settings.
         world: makes the effects in the pool, anew for each run, as effects may have state.
-        paths: by name.
         seeds: number of seeds of the camera's noise, from 0.
-        time_limit_s: longest pool time of each run.
         progress: called with runs done and all runs.
     """
     options = RunOptions(config_of(robot.planner), time_limit_s=time_limit_s)

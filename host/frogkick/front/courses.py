@@ -20,8 +20,7 @@ from frogkick.paths import Path as SwimPath
 from frogkick.paths.hold import LAP_POINTS, hold_at_end
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
 from frogkick.planner.plan import Cost, PlanConfig
-from frogkick.runs.path_change import HOLD_LIMIT_M, spans_of
-from frogkick.runs.path_change import NextPath
+from frogkick.runs.path_change import HOLD_LIMIT_M, NextPath, spans_of
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import track_of
 from frogkick.tables.image import Tables

@@ -14,7 +14,7 @@ from frogkick.core.errors import InputError
 from frogkick.front.replaying import fetch_from
 from frogkick.link.log import ChipLog, Stretch
 from frogkick.paths import shape
-from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
+from frogkick.runs.chip_log import FetchedLog, read_log, write_log
 from frogkick.runs.session import Session
 
 

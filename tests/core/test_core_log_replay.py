@@ -16,7 +16,7 @@ from tests.core.test_core_table_commands import begin_values, send
 
 from frogkick.link.layout import Value, link_layout, supervisor
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of
-from frogkick.runs.chip_log_replay import LATE, TOO_LATE, LogReplay, replay_log
+from frogkick.runs.chip_log import LATE, TOO_LATE, LogReplay, replay_log
 from frogkick.tables.image import open_image
 from frogkick_codegen.native import build_shared
 

@@ -14,7 +14,7 @@ from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, fe
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.virtual_robot import VirtualRobot
-from frogkick.runs.chip_log_replay import LogReplay, replay_log
+from frogkick.runs.chip_log import LogReplay, replay_log
 from frogkick.runs.closed_loop import Recording, RunOptions, run_session
 from frogkick.runs.session import Session
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES

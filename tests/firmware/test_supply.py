@@ -13,7 +13,7 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
-from frogkick.runs.chip_log_replay import replay_log
+from frogkick.runs.chip_log import replay_log
 from frogkick.runs.closed_loop import ENDED, RunOptions, run_session
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.replay import compare, replay_on_host

@@ -23,7 +23,7 @@ from frogkick.pool.native_robot import NativeRobot, kept_wear
 from frogkick.pool.pool import Pool
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
-from frogkick.runs.chip_log_replay import replay_log
+from frogkick.runs.chip_log import replay_log
 from frogkick.runs.closed_loop import Recording, RunOptions, run_session
 from frogkick.runs.decision import LOST_FIELDS, LiveCheck
 from frogkick.runs.record import lost_at_start, run_log

@@ -25,9 +25,8 @@ from frogkick.front.tables import Table, default_tables, load_table, table_image
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.pool.native_robot import kept_wear
 from frogkick.robot import Robot, in_a_row
-from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
-from frogkick.runs.chip_log_replay import LogReplay
-from frogkick.runs.chip_log_replay import replay_log as replay_records
+from frogkick.runs.chip_log import FetchedLog, LogReplay, read_log, write_log
+from frogkick.runs.chip_log import replay_log as replay_records
 from frogkick.runs.record import lost_at_start
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run

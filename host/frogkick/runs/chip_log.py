@@ -1,31 +1,117 @@
-"""Replay of a robot's log in the C core on this computer and in the Python twin, compared bit by bit.
+"""A robot's fetched log: its file (HDF5, the bytes of each stretch), and its replay.
 
-A segment of the replay starts at a snapshot and ends before the next event that cannot be repeated: a start
-of the robot, a table update, a gap in the log (which the next snapshot reports), an internal error that is
-not the port's, a damaged record, or the end of the log.
+The C core on this computer and the Python twin replay it, and are compared with it bit by bit. A segment of
+the replay starts at a snapshot and ends before the next event that cannot be repeated: a start of the robot, a
+table update, a gap in the log (which the next snapshot reports), an internal error that is not the port's, a
+damaged record, or the end of the log.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from frogkick.core.errors import FrogkickError
+import h5py
+import numpy as np
+
+from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.files import existing_file
 from frogkick.core.shared_library import load
 from frogkick.link.frames import pack_raw
 from frogkick.link.layout import link_layout, supervisor
 from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record, Stretch, records_of
 from frogkick.runs.chip_twin import ChipTwin
 from frogkick.runs.decision import Decision
+from frogkick.runs.runlog_file import hdf5_to_write
 from frogkick.tables.image import Tables
 
+FORMAT = "frogkick chip log"
+FORMAT_VERSION = 1
 LATE, TOO_LATE = -16, 2
 """FK_PULSE_LATE, and FK_PULSE_TOO_LATE in a PULSE record: the port was too late to begin it."""
 _CHUNK = 4096
 _TICKS = 3  # at one time: a stroke begins, a decision, another stroke
 _TABLE_COMMANDS = ("TABLE_BEGIN", "TABLE_COMMIT", "TABLE_ROLLBACK")
+
+
+@dataclass(frozen=True)
+class FetchedLog:
+    """A log and its robot."""
+
+    robot_id: str  # from HELLO
+    table_crc: int  # of the table in use when the log was fetched
+    log: ChipLog
+
+    def summary(self) -> dict[str, Any]:
+        """Records, bytes, gaps, duration (s), starts and faults by name, number of records of each kind."""
+        records = [record for stretch in self.log.records() for record in stretch]
+
+        def names(record_name: str, field: str, numbers: dict[str, int]) -> list[str]:
+            by_number = {number: name for name, number in numbers.items()}
+            found = [int(record.values[field]) for record in records if record.name == record_name]
+            return [by_number.get(number, str(number)) for number in found]
+
+        return {
+            "robot_id": self.robot_id,
+            "records": len(records),
+            "lost": self.log.lost,
+            "bytes": sum(len(stretch.content) for stretch in self.log.stretches),
+            "gaps": max(0, len(self.log.stretches) - 1),
+            "seconds": (records[-1].time_us - records[0].time_us) * 1e-6 if records else 0.0,
+            "starts": names("BOOT", "reset", link_layout().reset),
+            "faults": names("FAULT", "fault", link_layout().fault),
+            "kinds": dict(sorted(Counter(record.command or record.name for record in records).items())),
+        }
+
+
+def write_log(target: Path | str, fetched: FetchedLog) -> None:
+    """Write a log, completely or not at all; the same log gives the same bytes.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    with hdf5_to_write(target) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = FORMAT_VERSION
+        file.attrs["robot_id"] = fetched.robot_id
+        file.attrs["table_crc"] = np.uint32(fetched.table_crc)
+        file.attrs["lost"] = np.uint32(fetched.log.lost)
+        for number, stretch in enumerate(fetched.log.stretches):
+            content = np.frombuffer(stretch.content, dtype=np.uint8)
+            file.create_dataset(f"stretch_{number:04d}", data=content).attrs["offset"] = np.uint32(
+                stretch.offset
+            )
+
+
+def read_log(source: Path | str) -> FetchedLog:
+    """Read a log.
+
+    Raises:
+        InputError: missing, foreign or damaged file.
+    """
+    path = existing_file(source, "chip log")
+    try:
+        with h5py.File(path, "r") as file:
+            found, version = file.attrs.get("format"), int(file.attrs.get("format_version", 0))
+            if (found, version) != (FORMAT, FORMAT_VERSION):
+                raise InputError(
+                    f"{path.name!r} holds {found!r} version {version}, expected {FORMAT!r} version "
+                    f"{FORMAT_VERSION}: give a file that 'frogkick log fetch' wrote"
+                )
+            stretches = tuple(Stretch(int(file[name].attrs["offset"]), bytes(file[name][:])) for name in file)
+            return FetchedLog(
+                str(file.attrs["robot_id"]),
+                int(file.attrs["table_crc"]),
+                ChipLog(stretches, int(file.attrs["lost"])),
+            )
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"{path.name!r} is not a chip log or is damaged ({reason}): fetch it again"
+        ) from error
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from frogkick.core.progress import Tell, tell_line
 from frogkick.runs.closed_loop import Recording
 from frogkick.runs.decision import LiveCheck, lost_text
 from frogkick.runs.live_log import CUT_OFF, part_of
-from frogkick.runs.record import CANNOT_FOLLOW, Tracking
-from frogkick.runs.runlog import RunLog
+from frogkick.runs.record import CANNOT_FOLLOW
+from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.summary import bends_of
 from frogkick.tables.image import Tables

@@ -63,16 +63,14 @@ from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.record import (
     BATTERY_V,
-    Tracking,
     limb_events,
     lost_of,
     made_of,
     run_log,
-    tracking_of_recording,
 )
 from frogkick.runs.recorded.importer import import_recorded
 from frogkick.runs.recorded.importer import load_run as load_log
-from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.session import Session
 from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
@@ -92,11 +90,9 @@ class Run(RunLog):
 
     Attributes:
         robot_id, source, fixes, decisions, strokes, path, then, truth, measured, planner, made: the log's.
-        tracked: ``tracking`` as measured during the run; None: it is computed from the log.
         checked: number of decisions that agreed, if robot and host both decided.
     """
 
-    tracked: Tracking | None = None
     checked: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -107,7 +103,7 @@ class Run(RunLog):
     @cached_property
     def tracking(self) -> Tracking:
         """Distances to the path (m), progress (m/s), counts."""
-        return self.tracked or tracking_of_log(self)
+        return tracking_of_log(self)
 
     @property
     def ended(self) -> str:
@@ -375,8 +371,7 @@ def run(
                 recording = run_session(session, pool, used.tables, desired, options, said.progress, tell)
     log_seed = None if is_real else seed
     kept_log = run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known, made)
-    tracked = tracking_of_recording(recording, pool, described, desired)
-    found = Run(**vars(kept_log), tracked=tracked, checked={} if check is None else check.as_json())
+    found = Run(**vars(kept_log), checked={} if check is None else check.as_json())
     if target is not None:
         found.save(target)
         part_of(target).unlink(missing_ok=True)

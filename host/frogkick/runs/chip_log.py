@@ -1,9 +1,9 @@
 """A robot's fetched log: its file (HDF5, the bytes of each stretch), and its replay.
 
 The C core on this computer and the Python twin replay it, and are compared with it bit by bit. A segment of
-the replay starts at a snapshot and ends before the next event that cannot be repeated: a start of the robot, a
-table update, a gap in the log (which the next snapshot reports), an internal error that is not the port's, a
-damaged record, or the end of the log.
+the replay starts at a snapshot and ends before the next event that cannot be repeated: a start of the robot,
+a table update, a gap in the log (which the next snapshot reports), an internal error that is not the port's,
+a damaged record, or the end of the log.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import pathlib
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -27,7 +27,7 @@ from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import NOTHING_LOST, Decision
 from frogkick.runs.path_change import hold_spans
-from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
+from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Tracking, Truth
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
@@ -51,36 +51,6 @@ _REQUIRED = (*list(WEIGHTS)[:4], "depth")
 
 _INTEGERS = {"depth": (1, 4), "cost": (0, 1), "transitions_max": (0, 1e7)}
 """Limits of the planner's integer settings."""
-
-
-STOOD_DECISIONS, STOOD_MPS = 10, 1e-4
-
-
-@dataclass(frozen=True)
-class Tracking:
-    """How well a run followed its path, from the first decision to the end.
-
-    Distances are from the path's polyline to the true poses (simulated runs) or to the fixes.
-    ``limit_violations`` is None if the pins were not seen.
-    """
-
-    mean_distance_m: float
-    p95_distance_m: float
-    progress_mps: float
-    completed: bool
-    decisions: int
-    fixes_lost: int
-    limit_violations: int | None
-    plan_ms_p99: float
-
-    @property
-    def stood(self) -> bool:
-        """Whether many decisions led to less than 0.1 mm/s along the path."""
-        return not self.completed and self.decisions >= STOOD_DECISIONS and self.progress_mps < STOOD_MPS
-
-    def as_json(self) -> dict[str, Any]:
-        """Keys of the command ``run``."""
-        return asdict(self)
 
 
 def decision_columns(
@@ -173,13 +143,14 @@ def run_log(
     pulses = pulses_of(recording.edges, recording.end_s)
     starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
     masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
-    tracked = tracking_of_recording(recording, pool, robot, path).as_json()
+    tracked = tracking_of_recording(recording, pool, robot, path)
+    numbers = tracked.as_json()
     rows = {fix.sequence: row for row, fix in reversed(list(enumerate(fixes)))}  # first row of a duplicate
     offset_us = recording.clock_offset_us if options.onboard else 0  # the host decides on its own clock
     decisions = decision_columns(recording.decisions, rows, offset_us, options.learn)
     if not options.onboard:  # planning times of this computer: without them the same seed gives the same log
         decisions = replace(decisions, plan_s=None)
-        del tracked["plan_ms_p99"]
+        del numbers["plan_ms_p99"]
     lost = {}
     if options.learn and recording.decisions:
         shares = [code / LOST_MAX for code in recording.decisions[-1].lost]
@@ -203,7 +174,7 @@ def run_log(
         table_crc=tables.crc32,
         seed=seed,
         notes=_ended(recording.ended, lost),
-        measured={key: float(n) for key, n in tracked.items() if n is not None and np.isfinite(n)}
+        measured={key: float(n) for key, n in numbers.items() if n is not None and np.isfinite(n)}
         | lost
         | dict(known or {}),
         planner={key: float(value) for key, value in asdict(options.config).items()},
@@ -211,6 +182,7 @@ def run_log(
             **(made or {}),
             **({LEARN: ", ".join(limb.name for limb in robot.limbs)} if options.learn else {}),
         },
+        tracked=tracked,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from functools import cache
 from typing import Annotated, Any, ClassVar, get_type_hints
@@ -54,6 +54,7 @@ class Column:
     optional: bool = False
 
 
+STOOD_DECISIONS, STOOD_MPS = 10, 1e-4
 STATE_UNIT = "m, m, rad, m/s, m/s, rad/s"
 
 
@@ -207,6 +208,33 @@ class PathChange:
     hold: tuple[float, float, int] | None = None
 
 
+@dataclass(frozen=True)
+class Tracking:
+    """How well a run followed its path, from the first decision to the end.
+
+    Distances are from the path's polyline to the true poses (simulated runs) or to the fixes.
+    ``limit_violations`` is None if the pins were not seen.
+    """
+
+    mean_distance_m: float
+    p95_distance_m: float
+    progress_mps: float
+    completed: bool
+    decisions: int
+    fixes_lost: int
+    limit_violations: int | None
+    plan_ms_p99: float
+
+    @property
+    def stood(self) -> bool:
+        """Whether many decisions led to less than 0.1 mm/s along the path."""
+        return not self.completed and self.decisions >= STOOD_DECISIONS and self.progress_mps < STOOD_MPS
+
+    def as_json(self) -> dict[str, Any]:
+        """Keys of the command ``run``."""
+        return asdict(self)
+
+
 def _is_moment(text: str) -> bool:
     try:
         return datetime.fromisoformat(text).tzinfo is not None
@@ -234,6 +262,7 @@ class RunLog:
             (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; and
             ``learn`` of a run in which it was learned what limbs have lost: their names. Its decisions have a
             further column ``lost`` (n, 8), of each limb, 0 to 32767.
+        tracked: how well the path was followed, as measured during the run; None: of a log from a file.
     """
 
     robot_id: str
@@ -253,6 +282,7 @@ class RunLog:
     measured: Mapping[str, float] = field(default_factory=dict)
     planner: Mapping[str, float] = field(default_factory=dict)
     made: Mapping[str, str] = field(default_factory=dict)
+    tracked: Tracking | None = None
 
     def __post_init__(self) -> None:
         for name in ("period_s", "pulse_s"):

@@ -17,8 +17,8 @@ from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
 from frogkick.runs.path_change import spans_of
-from frogkick.runs.record import BATTERY_V, Tracking, along_paths
-from frogkick.runs.runlog import RunLog
+from frogkick.runs.record import BATTERY_V, along_paths
+from frogkick.runs.runlog import RunLog, Tracking
 
 
 @dataclass(frozen=True)
@@ -211,10 +211,12 @@ def summary(run: RunLog) -> Summary:
 
 
 def tracking_of_log(run: RunLog) -> Tracking:
-    """How well a run followed its path: the log's own numbers, else numbers computed from its track.
+    """How well a run followed its path: as measured, or as its log or its track tell.
 
     An unknown number is NaN, an unknown number of limit violations None.
     """
+    if run.tracked is not None:
+        return run.tracked
     computed, held = asdict(summary(run)), run.measured
 
     def number(name: str) -> float:

@@ -17,9 +17,10 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions, run_session
-from frogkick.runs.record import Tracking, run_log, tracking_of_recording
-from frogkick.runs.runlog import RunLog
+from frogkick.runs.record import run_log
+from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.session import Session
+from frogkick.runs.summary import tracking_of_log
 from frogkick.tables.image import Tables
 
 TIME_LIMIT_S = 90.0
@@ -34,7 +35,11 @@ class Trial:
 
     recording: Recording
     log: RunLog
-    tracking: Tracking
+
+    @property
+    def tracking(self) -> Tracking:
+        """How well it followed its path."""
+        return tracking_of_log(self.log)
 
 
 def swim(
@@ -66,8 +71,7 @@ def swim(
         Session(port), pool, tables, path, options, lambda _time_s, index: progress(index + 1, len(path))
     )
     first = seed if isinstance(seed, int) else int(seed[0])
-    log = run_log(recording, pool, robot, tables, path, options, first, source)
-    return Trial(recording, log, tracking_of_recording(recording, pool, robot, path))
+    return Trial(recording, run_log(recording, pool, robot, tables, path, options, first, source))
 
 
 def trials(

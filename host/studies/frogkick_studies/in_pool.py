@@ -51,7 +51,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a run; see ``frogkick.runs.record.Tracking``."""
+    """The result of a run; see ``frogkick.runs.runlog.Tracking``."""
 
     mean_distance_m: float
     progress_mps: float

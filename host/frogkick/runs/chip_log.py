@@ -145,7 +145,6 @@ class _Snapshot:
     end: int
     content: bytes
     table_crc: int
-    anew: bool
 
 
 def replay_log(
@@ -230,8 +229,7 @@ def _snapshots(records: list[Record]) -> list[_Snapshot]:
             continue
         content += record.rest
         if record.values["last"]:
-            crc, anew = int(record.values["table_crc"]), bool(record.values["anew"])
-            snapshots.append(_Snapshot(begin, index + 1, content, crc, anew))
+            snapshots.append(_Snapshot(begin, index + 1, content, int(record.values["table_crc"])))
     return snapshots
 
 

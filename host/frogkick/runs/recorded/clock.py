@@ -127,17 +127,13 @@ def _evidence(
     if np.isneginf(earliest).all():
         earliest[0] = latest[0] - 0.1
     clock_s, speed = np.empty(0), np.empty(0)
-    if motion is not None:
-        used = motion[0] >= latest[0] - 0.2
-        clock_s, speed = motion[0][used], motion[1][used]
-        if len(speed) > 10:
-            slow = np.array([speed[np.abs(clock_s - at) < 0.5 * DETREND_S].mean() for at in clock_s])
-            speed = np.clip(speed - slow, -0.2, 0.2)
-            size = float(speed.std())
-            # Without strokes the speed hardly changes.
-            clock_s, speed = (clock_s, speed / size) if size > 2e-3 else (np.empty(0), np.empty(0))
-        else:
-            clock_s, speed = np.empty(0), np.empty(0)
+    if motion is not None and (used := motion[0] >= latest[0] - 0.2).sum() > 10:
+        between_s, fast = motion[0][used], motion[1][used]
+        slow = np.array([fast[np.abs(between_s - at) < 0.5 * DETREND_S].mean() for at in between_s])
+        fast = np.clip(fast - slow, -0.2, 0.2)
+        size = float(fast.std())
+        if size > 2e-3:  # without strokes the speed hardly changes
+            clock_s, speed = between_s, fast / size
     return Evidence(earliest, latest, clock_s, speed, float(time_s[-1]))
 
 

@@ -51,9 +51,7 @@ def check_on_chip(
     """Test a firmware image on the virtual chip.
 
     Args:
-        elf: image of the target "bench".
-        tables: that it should contain.
-        robot: whose limits it should keep.
+        elf: image of the target "bench", which should contain the tables and keep the robot's limits.
         progress: called with tests done and all tests.
 
     Raises:

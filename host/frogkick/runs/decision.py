@@ -47,7 +47,7 @@ class Decision:
     """A decision of the robot or of the host.
 
     Attributes:
-        path_index, nearest_state, cost, depth_reached, transitions, distance_m, along_points: as in ``Plan``
+        path_index, nearest_state, cost, depth_reached, transitions, distance_m, along_points: as in ``Plan``.
     """
 
     status: int  # 0, or why the action is the resting one (``frames.toml``)

@@ -104,7 +104,8 @@ class LiveLog:
         if new or answered:
             rows += self._new_fixes(recording, answered)
         if decided:
-            rows.append(self._new_decisions(recording))
+            first, self._decisions = self._decisions, len(recording.decisions)
+            rows.append(decision_columns(recording, self._onboard, self._learn, first))
             changes = list(enumerate(recording.then))[self._changes : self._room]
             rows += [_Change(number, change) for number, change in changes]
             self._changes += len(changes)
@@ -148,12 +149,6 @@ class LiveLog:
         waiting = [*self._unanswered, *range(first, self._fixes)]
         self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
         return rows
-
-    def _new_decisions(self, recording: Recording) -> Decisions:
-        first, self._decisions = self._decisions, len(recording.decisions)
-        rows = {fix.sequence: row for row, fix in reversed(list(enumerate(recording.fixes)))}
-        offset_us = recording.clock_offset_us if self._onboard else 0
-        return decision_columns(recording.decisions[first:], rows, offset_us, self._learn)
 
     def _live(self) -> None:
         while True:

@@ -1,4 +1,7 @@
-"""Parity scenario: a closed loop from fixes to decisions, the same bits in all builds of the core."""
+"""Parity scenario: a closed loop from fixes to decisions, the same bits in all builds of the core.
+
+Where a table has wear curves, what limbs have lost is learned.
+"""
 
 from __future__ import annotations
 
@@ -87,16 +90,10 @@ def schedule_fixes(
 def record_scenario(
     library: Path, tables: Tables, path: SwimPath, config: PlanConfig, decisions: int, seed: int
 ) -> ParityScenario:
-    """Let the native core decide on ``schedule_fixes``, and learn what the limbs have lost.
+    """Let the native core decide on ``schedule_fixes``.
 
-    Two other paths take over on the way: the path itself a little off, and the path again.
-
-    Args:
-        library: shared library made by ``firmware build --target native``.
-        tables: its tables.
-        path, config: for the planner.
-        decisions: number of decisions.
-        seed: of the fixes.
+    Two other paths take over on the way: the path itself a little off, and the path again. ``library`` is made
+    by ``firmware build --target native`` with the tables.
 
     Raises:
         LinkError: the core refuses or does not answer.
@@ -106,20 +103,15 @@ def record_scenario(
     then = (PathChange(decisions // 3, beside), PathChange(2 * decisions // 3, path))
     schedule = replace(schedule, then=then)
     robot = NativeRobot(library, tables.limbs, keep_calls=True)
-    found, events = replay_onboard(schedule, path, tables, config, robot, learn=can_learn(tables))
+    found, events = replay_onboard(schedule, path, tables, config, robot, learn=bool(tables.limb_wear.size))
     return ParityScenario(robot.calls, found, events)
-
-
-def can_learn(tables: Tables) -> bool:
-    """Whether what limbs have lost can be learned with a table."""
-    return bool(tables.limb_wear.size)
 
 
 def twin_mismatches(
     scenario: ParityScenario, tables: Tables, path: SwimPath, config: PlanConfig
 ) -> list[tuple[int, list[str]]]:
     """Decisions in which the host's twin differs from the scenario in any bit, with the fields."""
-    twin = DecisionTwin(tables, path, config, learn=can_learn(tables))
+    twin = DecisionTwin(tables, path, config, learn=bool(tables.limb_wear.size))
     decided = replay_on_host(scenario.events, twin)
     return compare(scenario.decisions, decided)
 

@@ -8,7 +8,7 @@ import pathlib
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from typing import Any
 
@@ -25,7 +25,7 @@ from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
-from frogkick.runs.decision import NOTHING_LOST, Decision
+from frogkick.runs.decision import NOTHING_LOST
 from frogkick.runs.path_change import hold_spans
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Tracking, Truth
 from frogkick.tables.image import Tables
@@ -53,19 +53,15 @@ _INTEGERS = {"depth": (1, 4), "cost": (0, 1), "transitions_max": (0, 1e7)}
 """Limits of the planner's integer settings."""
 
 
-def decision_columns(
-    decisions: Sequence[Decision],
-    fix_rows: dict[int, int],
-    clock_offset_us: int = 0,
-    learn: bool = False,
-) -> Decisions:
-    """Decisions as log columns.
+def decision_columns(recording: Recording, onboard: bool, learn: bool, first: int = 0) -> Decisions:
+    """Decisions as log columns, from row ``first`` on; ``learn``: also what each limb has lost.
 
-    Args:
-        fix_rows: row in ``fixes`` of each fix sequence number.
-        clock_offset_us: robot time minus the log's.
-        learn: also what each limb has lost, as learned by each decision.
+    The host decides on its own clock. Its planning times are left out, so that a seed gives the same log.
     """
+    decisions = recording.decisions[first:]
+    offset_us = recording.clock_offset_us if onboard else 0
+    fixes = reversed(list(enumerate(recording.fixes)))
+    fix_rows = {fix.sequence: row for row, fix in fixes}  # the first row of a duplicate
     failed = np.array([d.status != 0 for d in decisions], dtype=bool)
     planned = np.where(failed, np.nan, 1.0)
 
@@ -76,14 +72,14 @@ def decision_columns(
         return np.array([getattr(d, name) for d in decisions], dtype=np.float64).reshape(-1, 6)
 
     return Decisions(
-        time_s=(integers("scheduled_us") - clock_offset_us) * 1e-6,
+        time_s=(integers("scheduled_us") - offset_us) * 1e-6,
         action=integers("action"),
         fix_sequence=np.array([fix_rows.get(d.fix_sequence, -1) if d.fixes else -1 for d in decisions]),
         flags=np.where(failed, int(DecisionFlag.NO_PLAN), 0),
         cost=np.array([float(d.cost) for d in decisions]) * planned,
         estimate=states("estimate") * planned[:, None],
         predicted=states("predicted") * planned[:, None],
-        plan_s=integers("plan_us") * 1e-6 * planned,
+        plan_s=integers("plan_us") * 1e-6 * planned if onboard else None,
         extra={
             **{name: integers(name) for name in ("status", "path_index", "scheduled_us")},
             "limb_use": integers("limb_use").reshape(-1, LIMBS_MAX),
@@ -139,17 +135,12 @@ def run_log(
         seed, source, made: as in ``RunLog``.
         known: further numbers for ``RunLog.measured``.
     """
-    fixes = recording.fixes
     pulses = pulses_of(recording.edges, recording.end_s)
     starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
     masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
     tracked = tracking_of_recording(recording, pool, robot, path)
     numbers = tracked.as_json()
-    rows = {fix.sequence: row for row, fix in reversed(list(enumerate(fixes)))}  # first row of a duplicate
-    offset_us = recording.clock_offset_us if options.onboard else 0  # the host decides on its own clock
-    decisions = decision_columns(recording.decisions, rows, offset_us, options.learn)
-    if not options.onboard:  # planning times of this computer: without them the same seed gives the same log
-        decisions = replace(decisions, plan_s=None)
+    if not options.onboard:
         del numbers["plan_ms_p99"]
     lost = {}
     if options.learn and recording.decisions:
@@ -162,7 +153,7 @@ def run_log(
         pulse_s=tables.pulse_us * 1e-6,
         action_names=tuple(action.name for action in robot.actions),
         fixes=fix_columns(recording),
-        decisions=decisions,
+        decisions=decision_columns(recording, options.onboard, options.learn),
         strokes=Strokes(
             time_s=np.array([start for start, _ in starts]),
             limb_mask=np.array(masks, dtype=np.int64),
@@ -170,7 +161,13 @@ def run_log(
         ),
         path=path,
         then=tuple(recording.then),
-        truth=None if pool is None else _truth(pool),
+        truth=None
+        if pool is None
+        else Truth(
+            np.array(pool.truth.time_s),
+            np.array(pool.truth.pose_world).reshape(-1, 3),
+            np.array(pool.truth.velocity_body).reshape(-1, 3),
+        ),
         table_crc=tables.crc32,
         seed=seed,
         notes=_ended(recording.ended, lost),
@@ -256,14 +253,6 @@ def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]
         "table_sha256": hashlib.sha256(tables.image).hexdigest(),
         **({"command": shlex.join(["frogkick", *sys.argv[1:]])} if is_ours else {}),
     }
-
-
-def _truth(pool: Pool) -> Truth:
-    return Truth(
-        time_s=np.array(pool.truth.time_s),
-        pose_world=np.array(pool.truth.pose_world).reshape(-1, 3),
-        velocity_body=np.array(pool.truth.velocity_body).reshape(-1, 3),
-    )
 
 
 def config_of_log(run: RunLog) -> PlanConfig:

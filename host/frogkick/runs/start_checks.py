@@ -31,14 +31,7 @@ OVER_FULL = 1.1
 
 
 def check_battery(robot: Robot, measured_v: float | None) -> str:
-    """Check the battery voltage.
-
-    Args:
-        robot: with or without a description of its batteries.
-        measured_v: lowest voltage of its batteries, measured by a person; None: not measured.
-
-    Returns:
-        The result in one line.
+    """Check the lowest voltage of a robot's batteries, as a person measured it, if so; return the result.
 
     Raises:
         InputError: the voltage is low, implausible, or without limits in the robot's file.
@@ -88,16 +81,12 @@ def look(source: FixSource, clock: Callable[[], float], wait: Callable[[float], 
 def check_start(
     fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | None, then: Sequence[Path] = ()
 ) -> list[str]:
-    """Check fixes and path before a run.
+    """Check fixes of a robot at rest and its path before a run; return the results, one line each.
 
     Args:
-        fixes: of the robot at rest during ``LOOK_S``.
-        path: to swim, in the fixes' frame.
+        fixes: during ``LOOK_S``.
+        path, then: to swim, in the fixes' frame, and paths that take over later.
         pool_m: length and width of the pool, whose origin is a corner; None: unknown.
-        then: paths that take over later.
-
-    Returns:
-        The results, one line each.
 
     Raises:
         InputError: too few fixes, fixes that jump, a path outside the pool, a robot far from its path.

@@ -44,11 +44,7 @@ def _no_state() -> Float32:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """A decision of the robot or of the host.
-
-    Attributes:
-        path_index, nearest_state, cost, depth_reached, transitions, distance_m, along_points: as in ``Plan``.
-    """
+    """A decision of the robot or of the host. What has no comment is as in ``Plan``."""
 
     status: int  # 0, or why the action is the resting one (``frames.toml``)
     action: int  # index in the table's actions

@@ -92,8 +92,8 @@ def record_scenario(
 ) -> ParityScenario:
     """Let the native core decide on ``schedule_fixes``.
 
-    Two other paths take over on the way: the path itself a little off, and the path again. ``library`` is made
-    by ``firmware build --target native`` with the tables.
+    Two other paths take over on the way: the path itself a little off, and the path again. ``library`` is
+    made by ``firmware build --target native`` with the tables.
 
     Raises:
         LinkError: the core refuses or does not answer.

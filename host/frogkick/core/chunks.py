@@ -164,11 +164,7 @@ def _on_pool(
 
 
 def check_cluster(address: str) -> None:
-    """Raise an error, without connecting, if an address is invalid or ``distributed`` is not installed.
-
-    Raises:
-        InputError: see above.
-    """
+    """Raise InputError, without connecting, if an address is invalid or ``distributed`` is not installed."""
     match = _ADDRESS.fullmatch(address)
     if match is None or not 1 <= int(match[1]) <= 65535:
         raise InputError(
@@ -259,11 +255,8 @@ def _run_for_cluster(shared: bytes, task: bytes, code: str) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def code_stamp(*more: str) -> str:
-    """Return a hash (SHA-256, hexadecimal) of frogkick's source and the versions of its numerical packages.
-
-    Args:
-        more: further packages of the project.
-    """
+    """Return a hash (SHA-256, hexadecimal) of frogkick's source, the versions of its numerical packages, and
+    the source of further packages of the project."""
     digest = hashlib.sha256(platform.python_version().encode("ascii"))
     for package in ("numpy", "numba", "llvmlite", "scipy"):
         digest.update(f"{package} {metadata.version(package)}\n".encode("ascii"))

@@ -41,13 +41,7 @@ def install_command(package: str) -> str:
 
 
 def require(purpose: str, *packages: str, error: type[FrogkickError] = InputError) -> None:
-    """Raise an error if a package is not installed.
-
-    Args:
-        purpose: what needs it, as the beginning of a sentence.
-        packages: import names in ``EXTRAS``.
-        error: class of the error.
-    """
+    """Raise an error if a package of ``EXTRAS`` is not installed; ``purpose`` begins its text."""
     names = {each: name for packages in EXTRAS.values() for each, name in packages.items()}
     for package in packages:
         if not installed(package):

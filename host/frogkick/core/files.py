@@ -20,11 +20,7 @@ from frogkick.core.errors import InputError
 
 
 def existing_file(path: Path | str, what: str) -> Path:
-    """Return the path of a readable, non-empty file.
-
-    Args:
-        what: kind of file, for the error text ("table image").
-    """
+    """Return the path of a non-empty file; ``what`` it is, for the error text."""
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"{what} is given as {type(path).__name__}: give a file's name")
     file = Path(path)
@@ -43,7 +39,6 @@ def csv_numbers(
     """Return columns of a CSV file by the names in its first line, one list for each line below it.
 
     Args:
-        what: kind of file, for the error text.
         needed: columns whose numbers must be finite.
         optional: further columns; NaN if the column or the cell is missing.
     """
@@ -184,12 +179,7 @@ def require_room(target: Path | str, size: int) -> None:
 
 @contextmanager
 def one_at_a_time(folder: Path, name: str) -> Iterator[Path]:
-    """Yield a working folder that only one process uses at a time; other processes wait.
-
-    Args:
-        folder: folder in which it is made.
-        name: name of the result; the same name gives the same folder.
-    """
+    """Yield a working folder that only one process uses at a time; the same name gives the same folder."""
     try:
         import fcntl
     except ImportError:  # Windows: a new folder each time
@@ -207,10 +197,7 @@ def cache_folder(name: str = "") -> Path:
     """Return the user's folder for compiled files and other results that can be made again, and make it.
 
     It is ``$FROGKICK_CACHE_DIR``, else ``$XDG_CACHE_HOME/frogkick``, else ``~/.cache/frogkick``. If the home
-    folder cannot be written, it is a private folder in the temporary folder.
-
-    Args:
-        name: name of a folder inside it.
+    folder cannot be written, it is a private folder in the temporary folder. ``name``: of a folder inside it.
     """
     given = os.environ.get("FROGKICK_CACHE_DIR")
     if given:

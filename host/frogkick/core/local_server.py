@@ -35,10 +35,7 @@ def serving(handler: type[QuietHandler], port: int = 0) -> Iterator[str]:
 
     Args:
         handler: answers each request in a thread of its own.
-        port: TCP port; 0: a free one.
-
-    Raises:
-        InputError: the port is taken, or is none.
+        port: TCP port; 0: a free one. InputError where it is taken, or is none.
     """
     try:
         server = _Server((HOST, port), handler)

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Float64 = NDArray[np.float64]
+from frogkick.core.arrays import Float32, Float64
 
 
 @dataclass
@@ -29,7 +29,7 @@ class Fix:
         return self.capture_s + self.delay_s
 
     @property
-    def pose_world(self) -> NDArray[np.float32]:
+    def pose_world(self) -> Float32:
         """(3,) x_m, y_m, heading_rad in float32, as in the link's frames."""
         return np.array([self.x_m, self.y_m, self.heading_rad], dtype=np.float32)
 

@@ -22,9 +22,9 @@ from frogkick.front.places import SIMULATED, built_firmware, require_simulator
 from frogkick.front.tables import Table, load_table
 from frogkick.link.pty_line import PtyLine, require_pseudo_terminals
 from frogkick.pool.camera import Camera
-from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.native_robot import NativeRobot, SimulatedPort
 from frogkick.pool.pool import Pool
-from frogkick.pool.served_robot import ServedRobot, SimulatedPort
+from frogkick.pool.served_robot import ServedRobot
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed
 from frogkick.runs.lab_session import stops_are_interrupts

@@ -104,11 +104,9 @@ class BleWire(Wire):
         reconnect_s: float = RECONNECT_S,
         greeting: bytes = DELIMITER,
     ) -> None:
-        """Find the robot and connect.
+        """Find the robot by its advertised name or its address, within ``scan_s``, and connect.
 
         Args:
-            place: its advertised name or its address.
-            scan_s: longest time to find it.
             reconnect_s: longest time to find it again after it dropped out.
             greeting: sent at each connection; ends what a partial frame left in the robot's receiver.
         """
@@ -186,16 +184,16 @@ class BleWire(Wire):
         wanted = (self.address or self._place).lower()
         found = asyncio.Event()
 
-        def matching(by_address: bool) -> list[BLEDevice]:
-            return [
-                device
-                for device, name in seen.values()
-                if (device.address.lower() == wanted if by_address else name == self._place)
-            ]
+        def addressed() -> list[BLEDevice]:
+            return [device for device, _ in seen.values() if device.address.lower() == wanted]
+
+        def named() -> list[BLEDevice]:
+            """Only until the address is known."""
+            return [device for device, name in seen.values() if name == self._place and not self.address]
 
         def heard(device: BLEDevice, advertised: AdvertisementData) -> None:
             seen[device.address] = (device, advertised.local_name or device.name or "")
-            if matching(True) or (self.address is None and matching(False)):
+            if addressed() or named():
                 found.set()
 
         async with BleakScanner(heard, service_uuids=[SERVICE]):
@@ -204,19 +202,16 @@ class BleWire(Wire):
             await asyncio.wait({stop, look}, timeout=self._scan_s, return_when=asyncio.FIRST_COMPLETED)
             stop.cancel()
             look.cancel()
-            if found.is_set() and not matching(True):
+            if found.is_set() and not addressed():
                 await asyncio.sleep(LOOK_ROUND_S)
-        if by_address := matching(True):
-            return by_address[0]
-        named = matching(False) if self.address is None else []
-        if len(named) > 1:
-            addresses = sorted(device.address for device in named)
+        if len(choice := addressed()[:1] or named()) > 1:
+            addresses = sorted(device.address for device in choice)
             raise _Definite(
-                f"{len(named)} robots are called {self._place!r} ({', '.join(addresses)}): switch the others "
-                f"off, or give the address, as --robot ble:{addresses[0]}"
+                f"{len(choice)} robots are called {self._place!r} ({', '.join(addresses)}): switch the "
+                f"others off, or give the address, as --robot ble:{addresses[0]}"
             )
-        if named:
-            return named[0]
+        if choice:
+            return choice[0]
         others = sorted({name or device.address for device, name in seen.values()})
         raise _NotFound(
             f"no robot {self._place!r} advertises within {self._scan_s:g} s (heard: "

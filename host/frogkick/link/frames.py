@@ -14,7 +14,7 @@ from cobs import cobs
 
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.link.auth import TRAILER_BYTES, CommandCodes
-from frogkick.link.layout import ANSWER_BIT, AUTH_BIT, EVENT_BIT, Payload, Value, link_layout
+from frogkick.link.layout import ANSWER_BIT, AUTH_BIT, EVENT_BIT, Arguments, Payload, Value, link_layout
 
 DELIMITER = b"\x00"
 # COBS code byte, type, sequence, payload, CRC-32.
@@ -46,10 +46,9 @@ def pack_frame(
     rows: Sequence[Sequence[Value]] = (),
     auth: CommandCodes | None = None,
 ) -> bytes:
-    """Bytes of a frame on the wire, with delimiter.
+    """Bytes of a frame of ``frames.toml`` on the wire, with delimiter.
 
     Args:
-        name: message name in ``frames.toml``.
         kind: "command", "answer" or "event".
         sequence: 0 to 255.
         values: value of each fixed field, and of the bytes at an answer's end, if any.
@@ -175,24 +174,14 @@ def hello(conversation: int = 0) -> dict[str, Value]:
     return {"protocol_version": link_layout().protocol_version, "conversation": conversation}
 
 
-def path_frames(
-    points: Sequence[tuple[float, float, float]],
-) -> list[tuple[dict[str, Value], Sequence[Sequence[Value]]]]:
-    """Split a path into PATH commands: the values and the rows of each.
-
-    Args:
-        points: (x_m, y_m, tangent_rad) of each point, world frame, 2 to 100 of them.
-    """
+def path_frames(points: Sequence[tuple[float, float, float]]) -> list[Arguments]:
+    """Split a path of 2 to 100 points (x_m, y_m, tangent_rad), world frame, into PATH commands."""
     payload = link_layout().messages["PATH"].command
     assert payload is not None
     if not 2 <= len(points) <= PATH_POINTS_MAX:
         raise InputError(
             f"path has {len(points)} points, the link carries 2 to {PATH_POINTS_MAX}: resample it"
         )
-    parts = [
-        points[first : first + payload.repeat_max] for first in range(0, len(points), payload.repeat_max)
-    ]
-    return [
-        ({"first": index * payload.repeat_max, "total": len(points), "count": len(part)}, part)
-        for index, part in enumerate(parts)
-    ]
+    most, total = payload.repeat_max, len(points)
+    parts = [(first, points[first : first + most]) for first in range(0, total, most)]
+    return [({"first": first, "total": total, "count": len(part)}, part) for first, part in parts]

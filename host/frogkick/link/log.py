@@ -150,12 +150,10 @@ def fetch_log(
 
     Args:
         link: the session.
-        known: result of an earlier fetch from the same robot, to fetch only newer records. None if the robot
-            was without supply in between, as it has started another log then.
+        known: an earlier fetch from the same robot, of which the result has the newer records too, in another
+            stretch where records in between were overwritten. None if the robot was without supply in
+            between, as it has started another log then.
         progress: called with bytes fetched and all bytes.
-
-    Returns:
-        ``known`` and the new records, in another stretch where records in between were overwritten.
     """
     stretches = list(known.stretches) if known is not None else []
     offset = known.end if known is not None else 0

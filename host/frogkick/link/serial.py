@@ -30,10 +30,9 @@ class SerialWire(Wire):
     def __init__(
         self, port: str, baud: int = BAUD, reconnect_s: float = RECONNECT_S, greeting: bytes = DELIMITER
     ) -> None:
-        """Open the port.
+        """Open a port (``/dev/ttyACM0``, ``COM3``).
 
         Args:
-            port: device (``/dev/ttyACM0``, ``COM3``).
             baud: bits per second.
             reconnect_s: longest time to reconnect.
             greeting: sent at each connection; ends what noise may have left in the robot's receiver.
@@ -41,7 +40,8 @@ class SerialWire(Wire):
         super().__init__()
         self.name = f"serial:{port}"
         self._port, self._baud, self._reconnect_s, self._greeting = port, baud, reconnect_s, greeting
-        self._serial = _package()
+        require("serial:", "serial")
+        self._serial = importlib.import_module("serial")
         self._closing = threading.Event()
         self._write_lock = threading.Lock()
         self._line: Any = self._open()
@@ -104,11 +104,6 @@ class SerialWire(Wire):
                     self.lost(WireError(f"{self.name} went away for {self._reconnect_s:g} s: {error}"))
                     return False
         return False
-
-
-def _package() -> Any:
-    require("serial:", "serial")
-    return importlib.import_module("serial")
 
 
 def ports() -> list[str]:

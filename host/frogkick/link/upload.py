@@ -39,9 +39,6 @@ def upload(
         link: the session.
         image: table image.
         progress: called with the bytes on the robot and all bytes.
-
-    Raises:
-        UploadError: the table does not fit, the robot refuses it, or does not answer.
     """
     here = _ask(link, "TABLE_STATUS")
     if len(image) > int(here["slot_bytes"]):

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.shared_library import load
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.layout import link_layout
-from frogkick.link.wire import BYTE_S, Edge
+from frogkick.link.wire import BYTE_S, Edge, RobotPort
 
 _COLD = bytes(4 * 8)  # FK_LIMBS_MAX
 COLD_LIMBS = _COLD + struct.pack("<I", zlib.crc32(_COLD) ^ 0x6472_6147)
@@ -52,8 +52,24 @@ class CoreCall:
     stream: bytes  # bytes that the core sent
 
 
-class NativeRobot:
-    """A ``RobotPort`` over a shared library made by ``firmware build --target native``.
+class SimulatedPort(RobotPort, Protocol):
+    """A robot in simulated time whose flash outlives it."""
+
+    _collector: FrameCollector
+
+    def received(self) -> list[tuple[float, bytes]]:
+        """Bytes that came from the robot since the last call, with their times."""
+
+    def flash_content(self) -> bytes:
+        """What outlives a loss of power."""
+
+    def frames(self) -> list[tuple[float, Frame]]:
+        """The frames of ``received``, with the arrival times of their last bytes."""
+        return [(at_s, frame) for at_s, data in self.received() for frame in self._collector.feed(data)]
+
+
+class NativeRobot(SimulatedPort):
+    """A port over a shared library made by ``firmware build --target native``.
 
     Computing takes no simulated time, other than on the virtual chip. The port's clock runs through resets,
     the robot's starts again with each. Flash survives all resets; of the RAM only what the start-up does not
@@ -82,10 +98,6 @@ class NativeRobot:
             heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
                 lets them rest first.
             learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
-
-        Raises:
-            InputError: the flash is of another size.
-            FrogkickError: the core refuses its own table.
         """
         self._ffi, self._core = load(library)
         self._blocks: list[tuple[Any, int]] = []
@@ -155,9 +167,7 @@ class NativeRobot:
             if due_us > until_us:
                 break
             self._now_us = max(self._now_us, due_us)
-            encoded = b""
-            if frame_us <= due_us:
-                encoded = heapq.heappop(self._waiting)[2]
+            encoded = heapq.heappop(self._waiting)[2] if frame_us <= due_us else b""
             self._note(self.turn(self._now_us - self._zero_us, encoded))
         self._now_us = max(self._now_us, until_us)
 
@@ -194,17 +204,13 @@ class NativeRobot:
         self._edges = [edge for edge in self._edges if edge.level or edge.time_s <= now_s]
         self._edges += [Edge(now_s, limb, False) for limb in sorted(still_on)]
 
-    def frames(self) -> list[tuple[float, Frame]]:
-        """Frames from the core since the last call."""
-        return [(at_s, frame) for at_s, data in self.received() for frame in self._collector.feed(data)]
-
     def received(self) -> list[tuple[float, bytes]]:
-        """The bytes of the same, for a wire that takes them as they are."""
+        """See ``SimulatedPort``."""
         taken, self._sent_back = self._sent_back, []
         return taken
 
     def flash_content(self) -> bytes:
-        """All of the flash for tables, as it outlives a loss of power."""
+        """All of the flash for tables."""
         return bytes(self.flash)
 
     def edges(self) -> list[Edge]:
@@ -256,11 +262,7 @@ class NativeRobot:
         return self._ffi.cast(f"{kind} *", words + _BESIDE // 8)
 
     def ram_bytes(self) -> int:
-        """RAM of the core's structures, bytes.
-
-        Raises:
-            FrogkickError: the core has written beside one of them.
-        """
+        """RAM of the core's structures, bytes; FrogkickError: the core has written beside one."""
         for words, size in self._blocks:
             content = np.frombuffer(self._ffi.buffer(words), dtype=np.uint8)
             beside = np.concatenate([content[:_BESIDE], content[_BESIDE + size :]])

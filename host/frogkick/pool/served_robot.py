@@ -5,25 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Protocol
 
-from frogkick.link.wire import RobotPort
+from frogkick.pool.native_robot import SimulatedPort
 from frogkick.pool.pool import Pool, Truth
 
-TICK_S = 0.005
-"""The pool and the robot go on at least so often, and a picture shows what was true so long ago at most."""
 TRUTH_ROWS = 1000
 """The pool forgets what was true longer ago: it may be open for days."""
-
-
-class SimulatedPort(RobotPort, Protocol):
-    """A simulated robot: a ``NativeRobot`` or a ``VirtualRobot``."""
-
-    def received(self) -> list[tuple[float, bytes]]:
-        """Bytes that came from the robot since the last call, with their times."""
-
-    def flash_content(self) -> bytes:
-        """What outlives a loss of power."""
 
 
 class ServedRobot:
@@ -32,14 +19,16 @@ class ServedRobot:
     Attributes:
         pose_world: x_m, y_m, heading_rad, true a moment ago.
         behind_s: how far the simulation is behind the clock.
+        sleep_s: until the next tick; so long ago a picture shows at most what was true.
     """
+
+    sleep_s = 0.005
 
     def __init__(
         self,
         switch_on: Callable[[bytes | None], SimulatedPort],
         pool: Pool,
         flash: bytes | None = None,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Switch the robot on.
 
@@ -47,38 +36,25 @@ class ServedRobot:
             switch_on: makes a robot whose clock is 0, from what its flash holds; None: as it was flashed.
             pool: with the robot at rest in it.
             flash: what its flash holds.
-            clock: in s.
-
-        Raises:
-            InputError: the flash is another robot's.
         """
-        self._switch_on, self._pool, self._clock = switch_on, pool, clock
+        self._switch_on, self._pool = switch_on, pool
         self._lock = threading.Lock()
-        self._pool_begin_s = clock() - pool.time_s
+        self._pool_begin_s = time.monotonic() - pool.time_s
         self._start(flash)
         self.pose_world = self._pose()
         self.behind_s = 0.0
-
-    @property
-    def sleep_s(self) -> float:
-        """Until the next tick."""
-        return TICK_S
 
     def feed(self, data: bytes) -> bytes:
         """Take bytes from the wire."""
         with self._lock:
             if data:
-                self._port.send(data, self._clock() - self._begin_s)
+                self._port.send(data, time.monotonic() - self._begin_s)
             return b""
 
     def tick(self) -> bytes:
-        """Let robot and pool live up to now; return what the robot sent.
-
-        Raises:
-            ConvergenceError: the rod simulation failed.
-        """
+        """Let robot and pool live up to now (ConvergenceError: they cannot); return what the robot sent."""
         with self._lock:
-            now_s = self._clock()
+            now_s = time.monotonic()
             self._port.advance(now_s - self._begin_s)
             shift_s = self._begin_s - self._pool_begin_s  # pool time minus the robot's
             for edge in self._port.edges():
@@ -90,7 +66,7 @@ class ServedRobot:
             if len(self._pool.truth.time_s) > TRUTH_ROWS:
                 self._pool.truth = Truth()
             self.pose_world = self._pose()
-            self.behind_s = self._clock() - now_s
+            self.behind_s = time.monotonic() - now_s
             return b"".join(data for _, data in self._port.received())
 
     def put(self, pose_world: tuple[float, float, float]) -> None:
@@ -111,7 +87,7 @@ class ServedRobot:
 
     def _start(self, flash: bytes | None) -> None:
         self._port = self._switch_on(flash)
-        self._begin_s = self._clock()
+        self._begin_s = time.monotonic()
 
     def _pose(self) -> tuple[float, float, float]:
         x_m, y_m, heading_rad = (float(value) for value in self._pool.state()[0])

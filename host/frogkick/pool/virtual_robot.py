@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from frogkick.core.errors import InputError
-from frogkick.link.frames import Frame, FrameCollector
+from frogkick.link.frames import FrameCollector
 from frogkick.link.wire import Edge
 from frogkick.pool.chip import VirtualChip
-from frogkick.pool.native_robot import COLD_LIMBS
+from frogkick.pool.native_robot import COLD_LIMBS, SimulatedPort
 
 # firmware/bench/board.h; a test holds the two together.
 LIMB_PINS = (22, 23, 24, 25, 28, 29, 30, 31)
 
 
-class VirtualRobot:
-    """A ``RobotPort`` with real firmware, UARTE frames, and limbs seen at the pins.
+class VirtualRobot(SimulatedPort):
+    """A port with real firmware, UARTE frames, and limbs seen at the pins.
 
     Attributes:
         chip: the virtual chip, for measurements.
@@ -33,14 +33,9 @@ class VirtualRobot:
 
         Args:
             elf: image of the target "bench".
-            limbs: number of limbs of the robot.
+            limbs: number of limbs of the robot, at most as many as the board has pins.
             flash: content of the flash when such a robot was switched off; None: that of the image.
-            heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
-                lets them rest first.
-            learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
-
-        Raises:
-            InputError: not such an image, or more limbs than the board has pins.
+            heat_known, learned: see ``NativeRobot``.
         """
         if limbs > len(LIMB_PINS):
             raise InputError(
@@ -62,16 +57,12 @@ class VirtualRobot:
         """Advance the chip to a time."""
         self.chip.run_until(until_s * 1e6)
 
-    def frames(self) -> list[tuple[float, Frame]]:
-        """Frames since the last call, with the arrival times of their last bytes."""
-        return [(at_s, frame) for at_s, data in self.received() for frame in self._collector.feed(data)]
-
     def received(self) -> list[tuple[float, bytes]]:
-        """The bytes of the same, for a wire that takes them as they are."""
+        """See ``SimulatedPort``."""
         return [(time_us * 1e-6, data) for time_us, data in self.chip.received()]
 
     def flash_content(self) -> bytes:
-        """All of the flash, as it outlives a loss of power."""
+        """All of the flash."""
         return self.chip.flash.content()
 
     def edges(self) -> list[Edge]:

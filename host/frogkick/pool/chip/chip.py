@@ -47,6 +47,7 @@ class VirtualChip:
 
     Attributes:
         resets: times of the watchdog's resets, us.
+        sleeping: whether the core waits for an event.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class VirtualChip:
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
         self._target_cycle = 0
-        self._sleeping = self._hung = self._reset_due = False
+        self.sleeping = self._hung = self._reset_due = False
         self._slept_parts = 0
         self._failed: ChipError | None = None
         self._invalid = ""
@@ -149,11 +150,6 @@ class VirtualChip:
         return int(self._state.instructions)
 
     @property
-    def sleeping(self) -> bool:
-        """Whether the core waits for an event."""
-        return self._sleeping
-
-    @property
     def uart_bytes_lost(self) -> int:
         """Bytes on the wire that the receiver lost, by overrun or while it was off."""
         return self._uarte.bytes_lost
@@ -208,10 +204,10 @@ class VirtualChip:
                 self._handle_events()
                 if self._reset_due:
                     self._reset()
-                elif not (self._sleeping or self._hung):
+                elif not (self.sleeping or self._hung):
                     self._execute()
                 elif self.core.event_register and not self._hung:
-                    self.core.event_register = self._sleeping = False
+                    self.core.event_register = self.sleeping = False
                 else:
                     awake_at = PARTS * min(self.scheduler.next_cycle, self._target_cycle)
                     if not self._hung:
@@ -233,7 +229,7 @@ class VirtualChip:
         Returns:
             Register r0, and the cycles from the function's first instruction to its return.
         """
-        if not self._sleeping:
+        if not self.sleeping:
             raise self.fail(f"cannot call {function}: the chip is awake; let it run until it sleeps")
         entry, context, begun = self.symbol(function) & ~1, self._uc.context_save(), int(self._state.time)
         pc, self._target_cycle = self._pc, 1 << 50
@@ -282,7 +278,7 @@ class VirtualChip:
     def _reset(self) -> None:
         """Reset core and peripherals by the watchdog; RAM, the wire and the reset reasons stay."""
         self.resets.append(self.time_us)
-        self._reset_due = self._hung = self._sleeping = False
+        self._reset_due = self._hung = self.sleeping = False
         self.power.reset()
         self.power.values["RESETREAS"] |= DOG
         self._gpio.release()
@@ -340,7 +336,7 @@ class VirtualChip:
         if self.core.event_register:
             self.core.event_register = False
         else:
-            self._sleeping = True
+            self.sleeping = True
 
     def _switch_fpu(self, enabled: bool) -> None:
         self._state.fpu_enabled = enabled

@@ -28,7 +28,7 @@ def source_files() -> dict[str, bytes]:
     return planner_files() | native_tables_files() | {"planner_shim.c": shim.read_bytes()}
 
 
-FFI = ffi_of(declared.declarations(source_files()))
+FFI = ffi_of(tuple(declared.declarations(source_files())))
 
 
 @cache

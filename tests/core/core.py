@@ -56,7 +56,7 @@ def source_files() -> dict[str, bytes]:
     return files
 
 
-FFI = ffi_of(declared.declarations(source_files()))
+FFI = ffi_of(tuple(declared.declarations(source_files())))
 
 
 def library(files: Mapping[str, bytes] | None = None) -> Any:

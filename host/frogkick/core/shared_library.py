@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,15 +17,11 @@ extern const fk_declared_t fk_declared[];
 
 
 @cache
-def _declared(texts: tuple[str, ...]) -> cffi.FFI:
+def ffi_of(texts: tuple[str, ...]) -> cffi.FFI:
+    """Return the cffi interface for declarations; the same texts give the same object."""
     ffi = cffi.FFI()
     ffi.cdef("\n".join(texts))
     return ffi
-
-
-def ffi_of(texts: Iterable[str]) -> cffi.FFI:
-    """Return the cffi interface for declarations; the same texts give the same object."""
-    return _declared(tuple(texts))
 
 
 def load(library: Path) -> tuple[cffi.FFI, Any]:
@@ -50,7 +45,7 @@ def load(library: Path) -> tuple[cffi.FFI, Any]:
     while rows.text != first.NULL:
         texts[first.string(rows.text).decode()] = rows.bytes
         rows = rows + 1
-    ffi = ffi_of(texts)
+    ffi = ffi_of(tuple(texts))
     for text, size in texts.items():
         if size and ffi.sizeof(_type_of(text)) != size:
             raise FrogkickError(

@@ -127,11 +127,7 @@ def unpack_frame(encoded: bytes) -> Frame:
         if kind == "answer" and len(body) == 1:
             return Frame(message.name, kind, raw[1], {"status": struct.unpack("<b", body)[0]})
         raise FrameError(f"{message.name} {kind} of {len(body)} bytes, the layout says {payload.bytes}")
-    numbers = struct.unpack(payload.format, body[: payload.bytes])
-    values: dict[str, Value] = {
-        field.name: number.rstrip(b"\x00").decode("ascii", "replace") if isinstance(number, bytes) else number
-        for field, number in zip(payload.fields, numbers, strict=True)
-    }
+    values = payload.values_of(body)
     if kind == "answer" and per_row:  # an answer repeats bytes only
         values[payload.repeat[0].name] = body[payload.bytes :].decode("latin-1")
         return Frame(message.name, kind, raw[1], values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import struct
 import tomllib
 from collections.abc import Sequence
@@ -98,6 +99,16 @@ class Payload:
         """Size of the fixed part on the wire."""
         return struct.calcsize(self.format)
 
+    def values_of(self, content: builtins.bytes) -> dict[str, Value]:
+        """The values of the fixed part, with which a content begins."""
+        values = struct.unpack_from(self.format, content)
+        return {
+            field.name: value.rstrip(b"\x00").decode("ascii", "replace")
+            if isinstance(value, builtins.bytes)
+            else value
+            for field, value in zip(self.fields, values, strict=True)
+        }
+
     @property
     def repeat_format(self) -> str:
         """``struct`` format of one repeated row."""
@@ -106,7 +117,7 @@ class Payload:
     @property
     def repeat_bytes(self) -> int:
         """Size of one repeated row on the wire."""
-        return struct.calcsize(self.repeat_format) if self.repeat else 0
+        return struct.calcsize(self.repeat_format)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.layout import Field, RecordType, Requester, Value, ask_again, link_layout
+from frogkick.link.layout import RecordType, Requester, Value, ask_again, link_layout
 
 HEAD_BYTES = 10
 UNFINISHED = -128
@@ -75,8 +75,7 @@ class Record:
         """Its fields by name, with ``status`` for a COMMAND; empty for a damaged record."""
         if self.name == DAMAGED:
             return {}
-        payload = self.type.payload
-        values = _unpacked(payload.fields, payload.format, self.content[: payload.bytes])
+        values = self.type.payload.values_of(self.content)
         if self.name == "COMMAND":
             values["status"] = struct.unpack("b", self.content[-1:])[0]
         return values
@@ -97,13 +96,7 @@ class Record:
         """The fields of that command; empty where it is shorter than its layout."""
         payload = link_layout().messages[self.command].command
         assert payload is not None
-        if len(self.rest) < payload.bytes:
-            return {}
-        return _unpacked(payload.fields, payload.format, self.rest[: payload.bytes])
-
-
-def _unpacked(fields: tuple[Field, ...], form: str, content: bytes) -> dict[str, Value]:
-    return {field.name: value for field, value in zip(fields, struct.unpack(form, content), strict=True)}
+        return payload.values_of(self.rest) if len(self.rest) >= payload.bytes else {}
 
 
 def check_of(raw: bytes) -> int:

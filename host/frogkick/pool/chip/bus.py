@@ -79,11 +79,14 @@ def array(access: str, name: str, offset: int, count: int, stride: int = 4) -> l
     return registers(access, **{name.format(i): offset + stride * i for i in range(count)})
 
 
+_PAIR: Final = ("SET", "CLR")
+
+
 class Peripheral:
     """A block of registers. A subclass lists them and implements writes and tasks.
 
     Registers with names from TASKS_ and EVENTS_ behave as in the product specification's chapter "Peripheral
-    interface"; INTENSET and INTENCLR act on ``INTERRUPT_EVENTS``.
+    interface". A pair such as INTENSET and INTENCLR sets and clears the bits of one value ("INTEN").
 
     Attributes:
         name: instance, as in the SVD ("TIMER0").
@@ -92,6 +95,8 @@ class Peripheral:
 
     REGISTERS: ClassVar[list[Register]]
     INTERRUPT_EVENTS: ClassVar[dict[int, str]] = {}
+    RESET_VALUES: ClassVar[dict[str, int]] = {}
+    PAIR_BITS: ClassVar[int]
 
     name: str
     base: int
@@ -101,9 +106,9 @@ class Peripheral:
         self.system = system
         self.irq = self.base >> 12 & 0x1F
         self.by_offset = {register.offset: register for register in self.REGISTERS}
-        self.values: dict[str, int] = {register.name: 0 for register in self.REGISTERS}
+        names = [register.name.removesuffix("SET").removesuffix("CLR") for register in self.REGISTERS]
+        self.values: dict[str, int] = dict.fromkeys(names, 0) | self.RESET_VALUES
         self._offsets = {register.name: register.offset for register in self.REGISTERS}
-        self._interrupts = 0
 
     def _register(self, offset: int, access: str) -> Register:
         register = self.by_offset.get(offset)
@@ -120,9 +125,7 @@ class Peripheral:
     def read(self, offset: int) -> int:
         """Read a register; ChipError for one that is unknown or cannot be read."""
         name = self._register(offset, "r").name
-        if name in ("INTENSET", "INTENCLR"):
-            return self._interrupts
-        return self.on_read(name)
+        return self.values[name[:-3]] if name.endswith(_PAIR) else self.on_read(name)
 
     def write(self, offset: int, value: int) -> None:
         """Write a register; ChipError for one that is unknown or cannot be written, or an unknown value."""
@@ -136,12 +139,14 @@ class Peripheral:
                 raise self.refuse(name, value, "an event is taken back by 0")
             self.values[name] = 0
             self._update_line()
-        elif name in ("INTENSET", "INTENCLR"):
-            unknown = value & ~sum(1 << bit for bit in self.INTERRUPT_EVENTS)
-            if unknown:
+        elif name.endswith(_PAIR):
+            pair = name[:-3]
+            known = sum(1 << bit for bit in self.INTERRUPT_EVENTS) if pair == "INTEN" else self.PAIR_BITS
+            if unknown := value & ~known:
                 raise self.refuse(name, value, f"bits 0x{unknown:x} are not modelled")
-            self._interrupts = self._interrupts | value if name == "INTENSET" else self._interrupts & ~value
-            self._update_line()
+            before = self.values[pair]
+            self.values[pair] = before | value if name.endswith("SET") else before & ~value
+            self.on_pair()
         else:
             self.on_write(name, value)
 
@@ -152,6 +157,10 @@ class Peripheral:
     def on_write(self, name: str, value: int) -> None:
         """Write a plain register."""
         self.values[name] = value
+
+    def on_pair(self) -> None:
+        """The bits of a pair have changed."""
+        self._update_line()
 
     def on_task(self, name: str) -> None:
         """Execute a task."""
@@ -173,9 +182,8 @@ class Peripheral:
         self.system.ppi.pass_on(self.base + self._offsets[name])
 
     def _update_line(self) -> None:
-        level = any(
-            self._interrupts >> bit & 1 and self.values[event] for bit, event in self.INTERRUPT_EVENTS.items()
-        )
+        enabled = self.values.get("INTEN", 0)
+        level = any(enabled >> bit & 1 and self.values[event] for bit, event in self.INTERRUPT_EVENTS.items())
         self.system.core.set_line(self.irq, level)
 
 

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import unicorn as unicorn_module
 from unicorn import arm_const
 
 from frogkick.core.interrupts import ctrl_c_comes_after
@@ -26,14 +25,13 @@ from frogkick.pool.chip.bus import (
 from frogkick.pool.chip.cost import PARTS, CostModel, CostTable, Profile
 from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
 from frogkick.pool.chip.flash import Flash, Nvmc
-from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
+from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop, unicorn
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.pins import Gpio, Gpiote, Ppi, Saadc
 from frogkick.pool.chip.power import DOG, Clock, Ficr, Power, Rng, Watchdog
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
 
-unicorn: Any = unicorn_module  # its type hints do not export what it documents
 _NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address
 _STACK_PAINT: Final = bytes([0xA5]) * 4
 

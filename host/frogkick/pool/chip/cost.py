@@ -19,6 +19,7 @@ Nordic, nRF52832 Product Specification, chapter CPU, wait states. Where they giv
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
@@ -82,11 +83,18 @@ def _stem(name: str) -> str:
 _CORE: Final = frozenset(range(arm.ARM_REG_R0, arm.ARM_REG_R12 + 1)) | {arm.ARM_REG_SP, arm.ARM_REG_LR}
 
 
-def _words(instruction: Any) -> int:
-    """Registers of a transfer of several, a double float register counting twice."""
+def disassembler() -> Any:
+    """What decodes the Cortex-M4's instructions, with details."""
+    reader = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
+    reader.detail = True
+    return reader
+
+
+def register_words(operands: Iterable[Any]) -> int:
+    """Words of the registers among some operands, a double float register counting twice."""
     return sum(
         2 if arm.ARM_REG_D0 <= one.reg <= arm.ARM_REG_D31 else 1
-        for one in instruction.operands
+        for one in operands
         if one.type == arm.ARM_OP_REG
     )
 
@@ -110,14 +118,14 @@ def cycles_and_flags(instruction: Any) -> tuple[int, Flag]:
     if multiple is not None:
         # ldm, stm, vldm, vstm have their base register among the operands, push and pop have none: 1 + N.
         base = 0 if multiple.endswith(("push", "pop")) else 1
-        return 1 + _words(instruction) - base, flags | Flag.ALIGNED
+        return 1 + register_words(instruction.operands) - base, flags | Flag.ALIGNED
     if name.startswith(_DOUBLE):
         return 3, flags | Flag.ALIGNED
     if name.startswith(_LOAD_STORE):
         memory = _memory(instruction)
         literal = 1 if memory is not None and memory.mem.base == arm.ARM_REG_PC else 0
         if name.startswith("v"):
-            return 1 + _words(instruction) + literal, flags | Flag.ALIGNED
+            return 1 + register_words(instruction.operands) + literal, flags | Flag.ALIGNED
         if "ex" in name:
             return 2, flags | Flag.ALIGNED
         plain_store = name.startswith("str") and not memory.mem.index and not instruction.writeback
@@ -184,11 +192,9 @@ def _decoded(instruction: Any) -> Decoded:
 @lru_cache(maxsize=1 << 14)  # a firmware has some two thousand runs, and most chips of a process have one
 def _run(code: bytes) -> tuple[Decoded, ...]:
     """The instructions from the beginning of these bytes to the next branch, 64 at most."""
-    reader = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
-    reader.detail = True
     found: list[Decoded] = []
     in_it = 0
-    for instruction in reader.disasm(code, 0, 64):
+    for instruction in disassembler().disasm(code, 0, 64):
         found.append(_decoded(instruction))
         in_it = in_it - 1 if in_it else found[-1].guarded
         if not in_it and found[-1].jumps:

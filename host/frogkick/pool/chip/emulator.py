@@ -11,19 +11,17 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import unicorn as unicorn_module
 from unicorn import arm_const
 from unicorn.unicorn_py3.unicorn import uclib
 
 from frogkick.core.interrupts import ctrl_c_comes_after
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, ChipError
-from frogkick.pool.chip.hook import HookState, Stop, load_hook
+from frogkick.pool.chip.hook import HookState, Stop, load_hook, unicorn
 from frogkick.pool.chip.image import FirmwareImage, load_image
 
 if TYPE_CHECKING:
     from frogkick.pool.chip.chip import VirtualChip
 
-unicorn: Any = unicorn_module  # its type hints do not export what it documents
 PAGE: Final = 0x1000
 RETURN_ADDRESS: Final = FLASH_BYTES - 16
 """Where a call from outside returns to: erased flash, which no program runs."""

@@ -9,16 +9,13 @@ from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-import unicorn as unicorn_module
-
 from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError, Peripheral, registers
 from frogkick.pool.chip.cost import PARTS
-from frogkick.pool.chip.hook import HookState
+from frogkick.pool.chip.hook import HookState, unicorn
 
 if TYPE_CHECKING:
     from frogkick.pool.chip.chip import VirtualChip
 
-unicorn: Any = unicorn_module  # its type hints do not export what it documents
 PAGE_BYTES: Final = 4096
 READ_ONLY, WRITE, ERASE = 0, 1, 2
 """CONFIG.WEN."""
@@ -130,13 +127,13 @@ class Nvmc(Peripheral):
         *registers("r", READY=0x400),
         *registers("rw", CONFIG=0x504, ERASEPAGE=0x508, ICACHECNF=0x540),
     ]
+    RESET_VALUES = {"READY": 1}
 
     def __init__(self, system: VirtualChip, on_cache: Callable[[bool], None], flash: Flash) -> None:
         """``on_cache`` hears when the cache is switched."""
         super().__init__(system)
         self._on_cache = on_cache
         self._flash = flash
-        self.values["READY"] = 1
         flash.configure(READ_ONLY)
         # Memory must not change under an instruction of the emulator: it is done before the next one.
         self._configure = system.scheduler.add(lambda: flash.configure(self.values["CONFIG"]))

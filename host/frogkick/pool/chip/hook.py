@@ -14,44 +14,25 @@ import tempfile
 from enum import IntEnum, IntFlag
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import unicorn as unicorn_module
 
 from frogkick.core.extras import install_command
 from frogkick.core.files import cache_folder
 from frogkick.pool.chip.bus import ChipError
 
+unicorn: Any = unicorn_module  # its type hints do not export what it documents
 _SOURCE: Final = Path(__file__).with_name("hook.c")
 # baseline: zig would build for exactly this processor, and a cache folder may be shared with another.
 _FLAGS: Final = ("-mcpu=baseline", "-O2", "-shared", "-fPIC", "-std=c99", "-Wall", "-Wextra", "-Werror")
 
-
 CACHE_WORDS: Final = 64 * 2
 """Sets times ways of the instruction cache, as in hook.c."""
-
-
-class Stop(IntEnum):
-    """Why the callback stopped the core; the same order as in hook.c."""
-
-    NONE = 0
-    LIMIT = 1
-    WFE = 2
-    WFI = 3
-    FPU = 4
-    UNKNOWN = 5
-    UNALIGNED = 6
-    RETURN = 7
-
-
-class Flag(IntFlag):
-    """Low byte of a table entry; the same values as in hook.c."""
-
-    KNOWN = 1
-    WFE = 2
-    WFI = 4
-    FPU = 8
-    IN_IT = 16
-    ALIGNED = 32
-    RETURN = 64
+Stop = IntEnum("Stop", "NONE LIMIT WFE WFI FPU UNKNOWN UNALIGNED RETURN", start=0)
+"""Why the callback stopped the core; the same order as in hook.c."""
+Flag = IntFlag("Flag", "KNOWN WFE WFI FPU IN_IT ALIGNED RETURN")
+"""Bits of a table entry's low byte; the same order as in hook.c."""
 
 
 class HookState(ctypes.Structure):

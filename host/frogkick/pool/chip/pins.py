@@ -21,28 +21,24 @@ class Gpio(Peripheral):
 
     name, base = "P0", 0x5000_0000
     REGISTERS = [*registers("rw", OUTSET=0x508, OUTCLR=0x50C), *array("rw", "PIN_CNF[{}]", 0x700, PINS)]
+    PAIR_BITS = (1 << PINS) - 1
 
     def __init__(self, system: VirtualChip) -> None:
         """Start with all pins as inputs."""
         super().__init__(system)
-        self._out = 0
         self._task_levels: dict[int, bool] = {}
         self._levels = [False] * PINS
         self.edges: list[tuple[int, int, bool]] = []
 
-    def on_read(self, name: str) -> int:
-        """Both OUTSET and OUTCLR read as OUT."""
-        return self._out if name.startswith("OUT") else self.values[name]
-
     def on_write(self, name: str, value: int) -> None:
-        """Set, clear or configure pins."""
-        if name == "OUTSET":
-            self._out |= value
-        elif name == "OUTCLR":
-            self._out &= ~value
-        else:
-            self.values[name] = value
-        self._update_all()
+        """Configure a pin."""
+        self.values[name] = value
+        self.on_pair()
+
+    def on_pair(self) -> None:
+        """Pins have been set, cleared or configured."""
+        for pin in range(PINS):
+            self._update(pin)
 
     def drive(self, pin: int, level: bool) -> None:
         """GPIOTE takes the pin over, or changes its level."""
@@ -51,18 +47,13 @@ class Gpio(Peripheral):
 
     def release(self) -> None:
         """A reset: all pins become inputs, which gates see as low."""
-        self._out = 0
         self._task_levels = {}
         self.values = dict.fromkeys(self.values, 0)
-        self._update_all()
-
-    def _update_all(self) -> None:
-        for pin in range(PINS):
-            self._update(pin)
+        self.on_pair()
 
     def _update(self, pin: int) -> None:
         is_output = bool(self.values[f"PIN_CNF[{pin}]"] & 1)
-        level = self._task_levels.get(pin, is_output and bool(self._out >> pin & 1))
+        level = self._task_levels.get(pin, is_output and bool(self.values["OUT"] >> pin & 1))
         if level != self._levels[pin]:
             self._levels[pin] = level
             self.edges.append((self.system.now_cycle, pin, level))
@@ -116,35 +107,23 @@ class Ppi(Peripheral):
         *array("rw", "CHG[{}]", 0x800, _PPI_GROUPS),
         *array("rw", "FORK[{}].TEP", 0x910, _PPI_CHANNELS),
     ]
-
-    def __init__(self, system: VirtualChip) -> None:
-        """Start with all channels off."""
-        super().__init__(system)
-        self._enabled = 0
-
-    def on_read(self, name: str) -> int:
-        """Both CHENSET and CHENCLR read as CHEN."""
-        return self._enabled if name.startswith("CHEN") else self.values[name]
+    PAIR_BITS = (1 << _PPI_CHANNELS) - 1
 
     def on_write(self, name: str, value: int) -> None:
-        """Set a channel's ends or a group, or switch channels on or off."""
-        if name.startswith(("CHEN", "CHG")):
-            self.allow(name, value & ~((1 << _PPI_CHANNELS) - 1), (0,))
-            if name == "CHENSET":
-                self._enabled |= value
-            elif name == "CHENCLR":
-                self._enabled &= ~value
+        """Set a channel's ends or a group."""
+        if name.startswith("CHG"):
+            self.allow(name, value & ~self.PAIR_BITS, (0,))
         elif not self.system.has_register(value, "EVENTS_" if name.endswith("EEP") else "TASKS_"):
             raise self.refuse(name, value, "no event or task there that the model knows")
         self.values[name] = value
 
     def on_task(self, name: str) -> None:
         """Switch a group's channels off."""
-        self._enabled &= ~self.values[name.removeprefix("TASKS_").removesuffix(".DIS")]
+        self.values["CHEN"] &= ~self.values[name.removeprefix("TASKS_").removesuffix(".DIS")]
 
     def pass_on(self, event_address: int) -> None:
         """Trigger the tasks that hang on this event, lowest channel first, a channel's fork after it."""
-        enabled = self._enabled
+        enabled = self.values["CHEN"]
         for channel in range(_PPI_CHANNELS):
             if enabled >> channel & 1 and self.values[f"CH[{channel}].EEP"] == event_address:
                 self.system.trigger(self.values[f"CH[{channel}].TEP"])

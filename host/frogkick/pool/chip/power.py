@@ -59,8 +59,7 @@ class Power(Peripheral):
 
     def reset(self) -> None:
         """A reset of the chip: the comparator is off, the reasons stay, and so does the supply."""
-        self.values |= {"EVENTS_POFWARN": 0, "POFCON": 0}
-        self._interrupts = 0
+        self.values |= {"EVENTS_POFWARN": 0, "POFCON": 0, "INTEN": 0}
         self._is_below = self.constant_latency = False
 
     def set_supply(self, supply_v: float) -> None:
@@ -104,11 +103,11 @@ class Watchdog(Peripheral):
         *registers("rw", CRV=0x504, RREN=0x508, CONFIG=0x50C),
         *array("w", "RR[{}]", 0x600, 8),
     ]
+    RESET_VALUES = {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
 
     def __init__(self, system: VirtualChip, on_timeout: Callable[[], None]) -> None:
         """``on_timeout`` resets the chip."""
         super().__init__(system)
-        self.values |= {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
         self._running = False
         self.started_cycle = NEVER
         self._due = NEVER
@@ -167,6 +166,7 @@ class Clock(Peripheral):
         *registers("rw", EVENTS_HFCLKSTARTED=0x100, ERRATUM_31=0x53C, ERRATUM_108=0xEE4),
         *registers("r", HFCLKSTAT=0x40C),
     ]
+    RESET_VALUES = {"HFCLKSTAT": _RUNNING}
 
     def __init__(self, system: VirtualChip, power: Power, timers: Sequence[Timer]) -> None:
         """Start on the internal oscillator, by which the timers count; ``power`` outlives a reset."""
@@ -175,7 +175,6 @@ class Clock(Peripheral):
         power.constant_latency = False
         self._timers = timers
         self._started = system.scheduler.add(self._run)
-        self.values["HFCLKSTAT"] = _RUNNING
 
     def _switch(self, crystal: bool) -> None:
         self.values["HFCLKSTAT"] = _RUNNING | (_XTAL if crystal else 0)
@@ -199,15 +198,14 @@ class Clock(Peripheral):
 
 
 class Ficr(Peripheral):
-    """What the factory has written: two words without a name, which start-up code copies after a reset."""
+    """What the factory has written: two words without a name, which start-up code copies after a reset.
+
+    They are arbitrary here, and include bits that the start-up code must not copy.
+    """
 
     name, base = "FICR", 0x1000_0000
     REGISTERS = registers("r", ERRATUM_31=0x244, ERRATUM_108=0x258)
-
-    def __init__(self, system: VirtualChip) -> None:
-        """Arbitrary values, which include bits that the start-up code must not copy."""
-        super().__init__(system)
-        self.values |= {"ERRATUM_31": 0x1234_BFFF, "ERRATUM_108": 0xFFFF_FFCA}
+    RESET_VALUES = {"ERRATUM_31": 0x1234_BFFF, "ERRATUM_108": 0xFFFF_FFCA}
 
 
 class Rng(Peripheral):

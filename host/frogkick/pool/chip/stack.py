@@ -5,16 +5,17 @@ Where there is no bound (recursion, a stack pointer that is not moved by constan
 
 from __future__ import annotations
 
+import bisect
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import capstone
 from capstone import arm
 
 from frogkick.pool.chip.bus import FLASH_BYTES, ChipError
+from frogkick.pool.chip.cost import disassembler, register_words
 from frogkick.pool.chip.image import load_image
 
 _PC = arm.ARM_REG_PC
@@ -48,10 +49,7 @@ class StackAnalysis:
 
     def __init__(self, elf_path: Path | str) -> None:
         """Read code and symbols; mapping symbols tell code from data (Arm's ELF supplement, 5.5.5)."""
-        self._disassembler = capstone.Cs(
-            capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS
-        )
-        self._disassembler.detail = True
+        self._disassembler = disassembler()
         self._names: dict[int, str] = {}
         self._sizes: dict[int, int] = {}
         image = load_image(elf_path)
@@ -119,12 +117,8 @@ class StackAnalysis:
         return sorted({word & ~1 for word in words if word & 1 and word & ~1 in self._names})
 
     def _is_code(self, address: int) -> bool:
-        code = True
-        for mark, is_code in self._marks:
-            if mark > address:
-                break
-            code = is_code
-        return code
+        place = bisect.bisect_right(self._marks, (address, True)) - 1
+        return place < 0 or self._marks[place][1]
 
     def _instructions(self, entry: int) -> dict[int, Any]:
         found: dict[int, Any] = {}
@@ -176,15 +170,15 @@ class StackAnalysis:
         """Bytes by which an instruction moves the stack pointer down."""
         name, operands = one.mnemonic.split(".")[0], one.operands
         if name.startswith(("push", "vpush")):
-            return _transferred(operands)
+            return 4 * register_words(operands)
         if name.startswith(("pop", "vpop")):
-            return -_transferred(operands)
+            return -4 * register_words(operands)
         _, written = one.regs_access()
         if _SP not in written:
             return 0
         if name.startswith(_STORES + _LOADS):
             down = name.startswith(_STORES)
-            return _transferred(operands[1:]) * (1 if down else -1)
+            return 4 * register_words(operands[1:]) * (1 if down else -1)
         if name.startswith(("str", "ldr")):
             return -_written_back(operands)
         by_constant = name.startswith(("sub", "add")) and operands[-1].type == arm.ARM_OP_IMM
@@ -243,11 +237,6 @@ class StackAnalysis:
             if begin + 2 * entry in code:
                 yield begin + 2 * entry
             at += size
-
-
-def _transferred(operands: Sequence[Any]) -> int:
-    """Bytes of the registers in a list."""
-    return sum(8 if arm.ARM_REG_D0 <= one.reg <= arm.ARM_REG_D31 else 4 for one in operands)
 
 
 def _written_back(operands: Sequence[Any]) -> int:

@@ -39,13 +39,13 @@ class Timer(Peripheral):
         *registers("rw", MODE=0x504, BITMODE=0x508, PRESCALER=0x510),
         *array("rw", "CC[{}]", 0x540, CHANNELS),
     ]
+    RESET_VALUES = {"PRESCALER": 4}
     INTERRUPT_EVENTS = {16 + i: f"EVENTS_COMPARE[{i}]" for i in range(CHANNELS)}
 
     def __init__(self, system: VirtualChip, number: int) -> None:
-        """Start stopped at 0, with the reset value of PRESCALER."""
+        """Start stopped at 0."""
         self.name, self.base = f"TIMER{number}", 0x4000_8000 + 0x1000 * number
         super().__init__(system)
-        self.values["PRESCALER"] = 4
         self._running = self.draws = False
         self._count = 0  # counter's value at _since, or now where it does not run by itself
         self._since = 0

@@ -50,6 +50,7 @@ class Uarte(Peripheral):
         *registers("rw", **{"RXD.PTR": 0x534, "RXD.MAXCNT": 0x538, "TXD.PTR": 0x544, "TXD.MAXCNT": 0x548}),
         *registers("r", **{"RXD.AMOUNT": 0x53C}),
     ]
+    RESET_VALUES = {"PSEL.TXD": _DISCONNECTED, "PSEL.RXD": _DISCONNECTED, "BAUDRATE": 0x04000000}
     INTERRUPT_EVENTS = {
         2: "EVENTS_RXDRDY",
         4: "EVENTS_ENDRX",
@@ -62,8 +63,6 @@ class Uarte(Peripheral):
     def __init__(self, system: VirtualChip) -> None:
         """Start disabled."""
         super().__init__(system)
-        self.values["PSEL.TXD"] = self.values["PSEL.RXD"] = _DISCONNECTED
-        self.values["BAUDRATE"] = 0x04000000  # reset value, 250000 baud
         self._arriving: deque[tuple[int, int]] = deque()
         self._line_free_cycle = 0
         self._receiver = _Receiver.OFF

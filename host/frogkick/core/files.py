@@ -179,7 +179,11 @@ def require_room(target: Path | str, size: int) -> None:
 
 @contextmanager
 def one_at_a_time(folder: Path, name: str) -> Iterator[Path]:
-    """Yield a working folder that only one process uses at a time; the same name gives the same folder."""
+    """Yield a working folder that one process uses at a time; others wait. The same name gives the same one.
+
+    Raises:
+        OSError: it cannot be made.
+    """
     try:
         import fcntl
     except ImportError:  # Windows: a new folder each time

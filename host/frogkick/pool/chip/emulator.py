@@ -50,7 +50,6 @@ def make_core(
     """Return a core with the image in flash, at reset.
 
     Args:
-        image: what goes into the flash.
         pages: base address of each page of registers.
         access: reads or writes a register, by (base, offset, size) or (base, offset, size, value).
         on_invalid: hears of accesses to where nothing is.

@@ -1,6 +1,6 @@
 """The virtual chip: unicorn for the instructions, this package for time and peripherals.
 
-What cannot be done, or is not modelled, is a ``ChipError``; what is no firmware for the chip an ``InputError``.
+What cannot be done, or is not modelled, is a ``ChipError``; no firmware for the chip is an ``InputError``.
 """
 
 from __future__ import annotations

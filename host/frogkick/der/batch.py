@@ -50,7 +50,7 @@ class _State:
         self.mesh, self.symbolic, self.width = mesh, symbolic, width
         self.nodes = Nodes(*(lane_zeros((len(mesh.mass_kg), 2), width) for _ in range(3)))
         self.water = [STILL] * width
-        self._workspace = workspace_of(mesh, symbolic, width)
+        self._work = workspace_of(mesh, symbolic, width)
 
     def pick(self, lanes: Sequence[int]) -> _State:
         """Return a copy of ``width`` lanes, which may repeat."""
@@ -62,7 +62,7 @@ class _State:
     def start(self) -> None:
         """Set the accelerations from the forces on limbs at rest."""
         active = lane_zeros((1, 2 * self.mesh.limbs + 2), self.width)
-        set_accelerations(self.mesh, self._workspace, self.nodes, active, self._water())
+        set_accelerations(self.mesh, self._work, self.nodes, active, self._water())
 
     def _water(self) -> SimdArray:
         """Return the water of all lanes; of length 0, which costs nothing, if it is still everywhere."""
@@ -88,17 +88,9 @@ class _State:
         """
         report = lane_zeros((3, 1), self.width)
         sums = lane_zeros((len(lengths) if trace else 0, SUMS), self.width)
+        mesh, symbolic = self.mesh, self.symbolic
         run_steps(
-            self.mesh,
-            self.symbolic,
-            self._workspace,
-            self.nodes,
-            lengths,
-            active,
-            self._water(),
-            factor_every,
-            report,
-            sums,
+            mesh, symbolic, self._work, self.nodes, lengths, active, self._water(), factor_every, report, sums
         )
         rows = lane_floats(sums)
         traces = [

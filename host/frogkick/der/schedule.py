@@ -46,11 +46,6 @@ class Stroke(NamedTuple):
     gain: float = 1.0
     duration_scale: float = 1.0
 
-    @property
-    def longest(self) -> float:
-        """Upper bound of its duration over the measured one."""
-        return max(1.0, self.duration_scale)
-
 
 @dataclass(frozen=True, eq=False)
 class StepProfile:
@@ -87,7 +82,6 @@ class Profiles(NamedTuple):
     # coarseness, activation: (lanes, n) padded rows; the first ``coarse`` and ``active`` values are valid
     coarseness: Float64
     coarse: Int64
-    every_s: Float64
     over_s: Float64
     peak_s: Float64
     duration_s: Float64
@@ -142,8 +136,14 @@ class Schedule:
 
     def times(self, now_s: Float64, until_s: Float64, going: Bool) -> tuple[Float64, Int64]:
         """Return the ends of the steps of each lane; see ``lane_times``."""
-        for lane in self._changed:
-            self._prune(lane, float(now_s[lane]))
+        for lane in self._changed:  # forget strokes that are over and no longer ring
+            duration_s = float(self._profiles.duration_s[lane])
+            for of_limb in self._strokes[lane]:
+                of_limb[:] = [
+                    each
+                    for each in of_limb
+                    if each.start_s + max(RINGS_S, duration_s * max(1.0, each.duration_scale)) > now_s[lane]
+                ]
         if self._changed:
             self._set_tables()
             self._changed.clear()
@@ -162,18 +162,9 @@ class Schedule:
             strokes, profiles = strokes[[lane]], profiles.of([lane])
         lengths = lane_zeros((longest, 1), width)
         active = lane_zeros((longest, 2 * strokes.shape[1] + 2), width)
-        share = (
-            EVALUATION_SHARE  # an argument, because a cached function would keep the old value of a constant
-        )
-        lay_out(times, counts, strokes, profiles, share, lane_floats(lengths), lane_floats(active))
+        # The share is an argument, because a cached function would keep the old value of a constant.
+        lay_out(times, counts, strokes, profiles, EVALUATION_SHARE, lane_floats(lengths), lane_floats(active))
         return lengths, active
-
-    def _prune(self, lane: int, now_s: float) -> None:
-        duration_s = float(self._profiles.duration_s[lane])
-        for of_limb in self._strokes[lane]:
-            of_limb[:] = [
-                each for each in of_limb if each.start_s + max(RINGS_S, duration_s * each.longest) > now_s
-            ]
 
     def _set_tables(self) -> None:
         """Set (lanes, m) starts and scales of each lane's strokes, sorted, and all strokes, (lanes, limbs,
@@ -194,18 +185,13 @@ class Schedule:
 def profiles_of(actuations: Sequence[Actuation]) -> Profiles:
     """Return the profiles of lanes with these strokes."""
     known = {key: step_profile_of(each) for key, each in {id(each): each for each in actuations}.items()}
-    step_profiles = [known[id(each)] for each in actuations]
-    coarseness, coarse = _side_by_side([step_profile.coarseness for step_profile in step_profiles])
-    activation, active = _side_by_side([each.activation for each in actuations])
+    steps = [known[id(each)] for each in actuations]
     return Profiles(
-        coarseness,
-        coarse,
-        np.array([step_profile.every_s for step_profile in step_profiles]),
-        np.array([step_profile.over_s for step_profile in step_profiles]),
-        np.array([step_profile.peak_s for step_profile in step_profiles]),
+        *_side_by_side([each.coarseness for each in steps]),
+        np.array([each.over_s for each in steps]),
+        np.array([each.peak_s for each in steps]),
         np.array([each.duration_s for each in actuations]),
-        activation,
-        active,
+        *_side_by_side([each.activation for each in actuations]),
         np.array([each.step_s for each in actuations]),
         np.array([each.drop_per_m for each in actuations]),
     )
@@ -258,7 +244,7 @@ def lane_times(
             starts_s[lane],
             scales[lane],
             profiles.coarseness[lane, : profiles.coarse[lane]],
-            profiles.every_s[lane],
+            profiles.step_s[lane],
             profiles.over_s[lane],
             profiles.peak_s[lane],
             step_s,

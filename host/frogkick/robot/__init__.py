@@ -2,9 +2,18 @@
 
 from frogkick.robot.geometry import Mirror, mirror_of, robot_warnings
 from frogkick.robot.load import built_in_robots, load_robot, parse_robot
-from frogkick.robot.model import Action, Guard, PlannerDefaults, Robot, VelocityBox, in_a_row
+from frogkick.robot.model import (
+    Action,
+    Frame,
+    Guard,
+    Limb,
+    PlannerDefaults,
+    Robot,
+    VelocityBox,
+    in_a_row,
+    limb_points,
+)
 from frogkick.robot.profile import Actuation, Profile, fit_profile
-from frogkick.robot.shape import Frame, Limb, limb_points
 
 __all__ = [
     "Action",

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.robot.geometry import require_geometry
-from frogkick.robot.model import Action, Battery, Guard, PlannerDefaults, Robot, VelocityBox
+from frogkick.robot.model import Action, Battery, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
 from frogkick.robot.profile import Profile
 from frogkick.robot.schema import (
     ACTION_NAME_MAX,
@@ -27,7 +27,6 @@ from frogkick.robot.schema import (
     RobotFile,
     table_in,
 )
-from frogkick.robot.shape import Frame, Limb
 from frogkick.robot.toml_text import to_toml
 
 PIN_MOST_V = 3.0

@@ -236,15 +236,15 @@ def camera_of(
     plane_m: float,
     lens: Lens | None,
     camera_height_m: float | None,
-) -> tuple[Float64 | None, Float64 | None]:
-    """Camera matrix and position, by the lens or by the camera's height over the water; None without both."""
+) -> tuple[Float64, Float64, Float64] | None:
+    """Camera matrix and ``camera_pose``, by the lens or by the camera's height; None without both."""
     if lens is not None:
         matrix = lens.matrix_px
     elif camera_height_m is not None:
         matrix = lens_from_height(homography, image_px, camera_height_m, plane_m)
     else:
-        return None, None
-    return matrix, camera_pose(homography, matrix, plane_m)[1]
+        return None
+    return matrix, *camera_pose(homography, matrix, plane_m)
 
 
 FORMAT = 1

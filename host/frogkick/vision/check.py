@@ -14,7 +14,7 @@ from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError
 from frogkick.core.files import csv_numbers, existing_file
 from frogkick.core.poses import wrap_angle
-from frogkick.vision.calibration import Calibration, camera_pose, lens_from_height
+from frogkick.vision.calibration import Calibration, camera_of
 from frogkick.vision.pose import tag_place
 from frogkick.vision.scene import Conditions, Scene, Viewpoint
 from frogkick.vision.tracker import Tracker
@@ -42,9 +42,7 @@ class Place:
 def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
     """Compare marked points of the reference plane with the calibration's map of their pixels.
 
-    Args:
-        calibration: the calibration to check.
-        path: CSV with columns x_px, y_px, x_m, y_m: pixels of the picture, pool frame.
+    ``path`` is a CSV with the columns x_px, y_px, x_m, y_m: pixels of the picture, pool frame.
     """
     rows = np.array(csv_numbers(path, "CSV", ("x_px", "y_px", "x_m", "y_m")))
     seen = calibration.pool(calibration.undistort(rows[:, :2]), calibration.plane_apparent_m)
@@ -60,9 +58,7 @@ def check_frames(
 ) -> list[Place]:
     """Find the tag in frames with a known pose; each search covers the complete frame.
 
-    Args:
-        calibration: the calibration to check.
-        frames: picture, x_m, y_m, heading_rad (NaN: unknown) of the robot.
+    ``frames`` are picture, x_m, y_m, heading_rad (NaN: unknown) of the robot.
     """
     tracker = Tracker(calibration)
     places = []
@@ -103,16 +99,12 @@ def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
             "calibrate with --camera-height-m or a board, or check with --points or --places"
         )
     plane = calibration.plane_apparent_m
-    if calibration.lens is not None:
-        matrix, distortion = calibration.lens.matrix_px, calibration.lens.distortion
-    else:
-        height = float(calibration.camera_m[2])
-        matrix = lens_from_height(calibration.homography, calibration.image_px, height, plane)
-        distortion = np.zeros(5)
-    rotation, place = camera_pose(calibration.homography, matrix, plane)
-    tag = calibration.tag
+    lens, tag, height = calibration.lens, calibration.tag, float(calibration.camera_m[2])
+    camera = camera_of(calibration.homography, calibration.image_px, plane, lens, height)
+    assert camera is not None
+    distortion = np.zeros(5) if lens is None else lens.distortion
     return Scene(
-        Viewpoint(calibration.image_px, matrix, rotation, place, distortion),
+        Viewpoint(calibration.image_px, *camera, distortion),
         calibration.pool_m, tag.family, tag.id, tag.size_m, tag.apparent_height_m, conditions,
     )  # fmt: skip
 
@@ -120,14 +112,7 @@ def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
 def rendered(
     calibration: Calibration, conditions: Conditions, columns: int, rows: int, rng: np.random.Generator
 ) -> Iterable[tuple[UInt8, float, float, float]]:
-    """Pictures of the tag on a grid over the pool, a tag's width from its walls, at random headings.
-
-    Args:
-        calibration: camera, pool and tag.
-        conditions: disturbances of the pictures.
-        columns, rows: number of places along the pool, and across it.
-        rng: for headings, noise, waves.
-    """
+    """Pictures of the tag on a grid over the pool, a tag's width from its walls, at random headings."""
     scene = scene_of(calibration, conditions)
     edge = calibration.tag.size_m
     length, width = calibration.pool_m

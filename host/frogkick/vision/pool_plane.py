@@ -115,9 +115,10 @@ def calibrate_corners(
     if lens is not None:
         seen = Calibration(image_px, pool_m, np.eye(3), lens=lens, tag=Tag()).undistort(corners_px)
     homography = from_four(homes, seen)
-    matrix, place_m = camera_of(homography, image_px, corner_height_m + offset, lens, camera_height_m)
-    if matrix is not None:
-        _require_sides(homography, matrix)
+    camera = camera_of(homography, image_px, corner_height_m + offset, lens, camera_height_m)
+    if camera is not None:
+        _require_sides(homography, camera[0])
+    place_m = camera and camera[2]
     return Calibration(
         image_px, pool_m, homography, corner_height_m, offset, place_m, lens, tag, "corners", 4, 0.0
     )
@@ -181,7 +182,8 @@ def calibrate_plane(
     homography = np.asarray(fitted, dtype=np.float64)
     rms = float(np.sqrt(np.mean(np.sum((apply(homography, on_pool) - flat) ** 2, axis=1))))
     offset = refraction_offset_m(board_height_m)
-    _, place_m = camera_of(homography, image_px, board_height_m + offset, lens, camera_height_m)
+    camera = camera_of(homography, image_px, board_height_m + offset, lens, camera_height_m)
+    place_m = camera and camera[2]
     return Calibration(
         image_px, pool_m, homography, board_height_m, offset, place_m, lens, tag, board.kind, len(seen), rms
     )

@@ -49,6 +49,9 @@ LIKELY: dict[str, tuple[float, float, str]] = {
 """Key -> plausible limits for a swimmer of 5 mm to 2 m, in the key's unit, and the likely unit of a number
 outside of them."""
 
+SAME = [name for name, at in RobotFile.model_fields.items() if name != "effect" and table_in(at) is None]
+"""Keys of a robot's file that ``Robot`` has as they are: all values but the effects."""
+
 BUILT_IN = Path(__file__).resolve().parent / "robots"
 
 
@@ -305,15 +308,8 @@ def _robot(file: RobotFile, folder: Path | None) -> Robot:
     require_geometry(frame, limbs)
     text = to_toml(file.model_dump(mode="json", exclude_defaults=True))
     robot = Robot(
-        id=file.id,
-        title=file.title,
-        period_s=file.period_s,
-        pulse_s=file.pulse_s,
-        second_delay_s=file.second_delay_s,
-        pulse_energy_j=file.pulse_energy_j,
+        **{name: getattr(file, name) for name in SAME},
         water_density_kg_per_m3=file.water.density_kg_per_m3,
-        egain_percent=file.egain_percent,
-        profile_frequency_hz=file.profile_frequency_hz,
         gait_lead_mask=_mask(file.gait.lead, limb_names, "gait.lead"),
         gait_lag_mask=_mask(file.gait.lag, limb_names, "gait.lag"),
         frame=frame,
@@ -327,7 +323,6 @@ def _robot(file: RobotFile, folder: Path | None) -> Robot:
             for a in file.action
         ),
         profiles=tuple(_profile(p) for p in file.profile),
-        velocity_resolution=file.velocity_resolution,
         library_box=_box(file.library),
         guard=Guard(**file.guard.model_dump()),
         planner=PlannerDefaults(**file.planner.model_dump()),

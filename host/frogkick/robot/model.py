@@ -96,7 +96,7 @@ def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> Float64:
     return np.concatenate([root, root + np.cumsum(chords, axis=0)])
 
 
-def svg_of(frame: Frame, limbs: tuple[Limb, ...], width_px: int = 320) -> str:
+def svg_of(frame: Frame, limbs: tuple[Limb, ...]) -> str:
     """A robot at rest as an SVG picture from above, forward up, with the limbs' names."""
     lines = {limb.name: limb_points(frame, limb) for limb in limbs}
     outline = outline_of(frame)
@@ -118,7 +118,7 @@ def svg_of(frame: Frame, limbs: tuple[Limb, ...], width_px: int = 320) -> str:
             f"{html.escape(name)}</text>"
         )
     return (
-        f"<svg xmlns='http://www.w3.org/2000/svg' width='{width_px}' viewBox='0 0 {wide:.5f} {tall:.5f}'>"
+        f"<svg xmlns='http://www.w3.org/2000/svg' width='320' viewBox='0 0 {wide:.5f} {tall:.5f}'>"
         f"{''.join(drawn)}</svg>"
     )
 

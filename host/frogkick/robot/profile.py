@@ -64,16 +64,13 @@ class Actuation:
     activation: Float64
 
 
-def _logistic(argument: Float64) -> Float64:
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * argument)))  # tanh does not overflow, exp would
-
-
 def _formula(parameters: Float64, time_s: Float64, end_s: float) -> Float64:
     amplitude, centre, width = (parameters[1 + i :: 3] for i in range(3))
 
     def raw(t: Float64) -> Float64:
         scaled = (np.asarray(t)[..., None] - centre) / width
-        return np.asarray((amplitude * _logistic(scaled)).sum(axis=-1))
+        logistic = 0.5 * (1.0 + np.tanh(0.5 * scaled))  # tanh does not overflow, exp would
+        return np.asarray((amplitude * logistic).sum(axis=-1))
 
     start, end = raw(np.zeros(())), raw(np.full((), end_s))
     return np.asarray(parameters[0] + raw(time_s) - start - (end - start) * time_s / end_s)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, create_model
 from pydantic.fields import FieldInfo
 
-from frogkick.core.weights import WEIGHTS, Weights
+from frogkick.core.weights import WEIGHTS, Weight, Weights
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -111,6 +111,11 @@ class GuardTable(_Table):
     fix_lost_s: Positive = key("s without a fix after which a run ends, disarmed", 2.0)
 
 
+def _weight(name: str, weight: Weight) -> tuple[type[float], Any]:
+    default = ... if weight.required else getattr(Weights, name)
+    return float, key(weight.about, default, ge=weight.least, le=weight.most)
+
+
 if TYPE_CHECKING:
     PlannerTable = _Table
 else:
@@ -121,22 +126,8 @@ else:
             Literal["paper", "route"],
             key("route: progress along the path; paper: the published cost", "paper"),
         ),
-        **{
-            name: (
-                float,
-                key(
-                    weight.about,
-                    ... if weight.required else getattr(Weights, name),
-                    ge=weight.least,
-                    le=weight.most,
-                ),
-            )
-            for name, weight in WEIGHTS.items()
-        },
-        plan_time_s=(
-            float,
-            key("s that a decision may take on the robot; 0: no limit", 0.0, ge=0.0, le=1.0),
-        ),
+        **{name: _weight(name, weight) for name, weight in WEIGHTS.items()},
+        plan_time_s=(float, key("s that a decision may take on the robot; 0: no limit", 0.0, ge=0.0, le=1.0)),
         depth=(int, key("levels to look ahead, 1 to 4", ge=1, le=4)),
     )
 

@@ -57,31 +57,21 @@ class Viewpoint:
 
 
 def looking_at(
-    target_m: tuple[float, float] = (0.6, 0.45),
     place_m: tuple[float, float, float] = (0.7, 0.25, 1.35),
-    image_px: tuple[int, int] = (640, 480),
-    focal_px: float = 640.0,
-    turn_rad: float = 0.0,
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0),
 ) -> Viewpoint:
-    """A camera of square pixels that looks at a point of the water.
+    """A camera of 640 x 480 square pixels at a place, which looks at the middle of the water, x to the right.
 
-    Args:
-        target_m: (2,) the point in the picture's centre.
-        place_m: (3,) the camera.
-        image_px: width, height.
-        focal_px: focal length.
-        turn_rad: about its axis; 0: the pool's x to the right.
-        distortion: k1, k2, p1, p2, k3.
+    ``distortion`` is k1, k2, p1, p2, k3 of its lens.
     """
-    width, height = image_px
+    width, height, focal_px = 640, 480, 640.0
     matrix = np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
-    forward = np.array([*target_m, 0.0]) - place_m
+    forward = np.array([0.6, 0.45, 0.0]) - place_m
     forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [-np.sin(turn_rad), np.cos(turn_rad), 0.0])
+    right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Viewpoint(image_px, matrix, rotation, np.array(place_m), np.array(distortion))
+    return Viewpoint((width, height), matrix, rotation, np.array(place_m), np.array(distortion))
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ EDGE = PER_CELL // 2
 """Samples at the picture's edge that are left out, as the surroundings of the tag affect them."""
 SUSPECT = 0.06
 """Residual over the contrast from which outlying samples count less."""
+STEPS_MAX = 10
+"""Largest number of steps of a fit."""
 FREE = 12
 """Unknowns of a fit."""
 
@@ -136,16 +138,13 @@ def likeliest_turn(image: UInt8, quad_px: Float64, bank: tuple[Template, ...]) -
     return best, found[best]
 
 
-def fit_template(
-    image: UInt8, corners_px: Float64, bank: tuple[Template, ...], steps: int = 10
-) -> Fit | None:
+def fit_template(image: UInt8, corners_px: Float64, bank: tuple[Template, ...]) -> Fit | None:
     """Fit a tag's picture to a frame.
 
     Args:
         image: (height, width) grey levels.
         corners_px: (4, 2) in the picture's order, right within a cell.
         bank: the tag's templates.
-        steps: largest number of steps.
 
     Returns:
         The fit; None if it diverges or finds no contrast.
@@ -154,7 +153,7 @@ def fit_template(
     home = from_four(which.corners, corners_px)
     size = (which.side, which.side)
     corners = corners_px
-    for step in range(steps):
+    for step in range(STEPS_MAX):
         warped = cv2.warpPerspective(
             image, home, size, flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
         )

@@ -38,6 +38,8 @@ HEADING_SD_MAX_RAD = float(np.deg2rad(0.5))
 SPOILT, BENT_PX, SPOILT_SD_MAX_RAD = 0.05, 0.15, float(np.deg2rad(0.12))
 """Residual and misfit from which a fit may follow glare instead of the print, and the limit of the heading's
 standard deviation for such a fit, whose true error is larger."""
+MARGIN_M = 0.05
+"""Poses are accepted so far beyond the pool's walls."""
 SMALL_PX = 45.0
 """A tag with shorter sides is searched in a picture enlarged twofold."""
 
@@ -58,10 +60,8 @@ class Observation:
 class Tracker:
     """Finds a tag frame by frame, in one thread."""
 
-    def __init__(self, calibration: Calibration, margin_m: float = 0.05) -> None:
-        """Prepare the templates. Poses up to ``margin_m`` beyond the pool's walls are accepted."""
+    def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
-        self._margin_m = margin_m
         self._templates = templates(calibration.tag.family, calibration.tag.id)
         self._last: Float64 | None = None
         middle = np.array([[calibration.pool_m[0] / 2, calibration.pool_m[1] / 2]])
@@ -141,8 +141,7 @@ class Tracker:
             return refuse("unclear")
         length, width = self._calibration.pool_m
         x, y, _ = tag_place(self._calibration, pose.x_m, pose.y_m, pose.heading_rad)
-        margin = self._margin_m
-        if not (-margin <= x <= length + margin and -margin <= y <= width + margin):
+        if not (-MARGIN_M <= x <= length + MARGIN_M and -MARGIN_M <= y <= width + MARGIN_M):
             return refuse("outside the pool")
         return Observation(pose, "found", capture_s, float("nan"), fit.corners_px, fit.residual)
 

@@ -18,7 +18,7 @@ from frogkick.identification.responses import responses_of
 from frogkick.identification.search import nominal_fit
 from frogkick.identification.segments import read_segments
 from frogkick.identification.verdict import PARTLY
-from frogkick.report.missing_figure import missing_figure
+from frogkick.report.identify_figures import missing_figure
 from frogkick.robot import load_robot
 
 GIVEN = Path(__file__).parents[3] / "shared" / "data" / "misfire"

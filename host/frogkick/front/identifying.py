@@ -121,7 +121,7 @@ class Identification:
             law: which of the laws found, in their order.
         """
         from frogkick.report.identify_figures import error_figure
-        from frogkick.report.law_section import figure_of_law, laws_of
+        from frogkick.report.laws import figure_of_law, laws_of
 
         return figure_of_law(self.outcome, law) if laws_of(self.outcome) else error_figure(self.outcome)
 

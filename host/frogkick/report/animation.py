@@ -245,13 +245,11 @@ def _stage(swim: Swim, shot: Film) -> Figure:
     # Video encoders want even numbers of pixels.
     figure = Figure(figsize=(WIDTH_PX / _DPI, 2 * (height_px // 2) / _DPI), dpi=_DPI, layout="constrained")
     axes = figure.subplots()
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_aspect("equal", adjustable="box")
     if swim.path_m is not None:
         axes.plot(*(100.0 * swim.path_m.T), color=style.DESIRED, linewidth=1.2)
-    axes.set_xlabel("x (cm)")
-    axes.set_ylabel("y (cm)")
+    axes.set(xlabel="x (cm)", ylabel="y (cm)")
     speed = "real time" if abs(shot.speed - 1.0) < 1e-9 else f"{shot.speed:.2g} x real time"
     axes.set_title(f"{swim.title}; {speed}, {RATE_HZ} pictures/s")
     return figure

@@ -56,9 +56,7 @@ def write_error_map(pool_m: tuple[float, float], places: Float64, title: str, ta
             axes.legend(loc="lower right")
         axes.set_aspect("equal")
         axes.margins(0.12)
-        axes.set_xlabel("x (mm), pool")
-        axes.set_ylabel("y (mm), pool")
-        axes.set_title(title)
+        axes.set(xlabel="x (mm), pool", ylabel="y (mm), pool", title=title)
     style.write_picture(figure, target)
 
 

@@ -85,9 +85,7 @@ def _above(axes: Axes) -> None:
     axes.text(0.03, 0.05, "z up, 0 on the water", color=style.TRUE)
     axes.text(0.03, width - 0.06, "pool frame (world): origin in the pool's first corner", color=style.TRUE)
     _robot(axes)
-    axes.set_xlim(-0.08, length + 0.05)
-    axes.set_ylim(-0.09, width + 0.07)
-    axes.set_aspect("equal")
+    axes.set(xlim=(-0.08, length + 0.05), ylim=(-0.09, width + 0.07), aspect="equal")
     axes.axis("off")
     axes.set_title("from above, as the camera sees it")
 
@@ -150,8 +148,7 @@ def _beside(axes: Axes) -> None:
     axes.add_patch(Rectangle((0.5, 0.0), 0.24, tag - 0.02, facecolor="white", edgecolor=style.FLOOR))
     axes.plot([0.54, 0.7], [tag, tag], color="#333333", linewidth=5.0, solid_capstyle="butt")
     axes.text(0.62, tag + 0.04, "tag, --tag-height-mm\nover the water", ha="center", color=style.ALARM)
-    axes.set_xlim(0.0, 1.0)
-    axes.set_ylim(-0.34, CAMERA_M + 0.12)
+    axes.set(xlim=(0.0, 1.0), ylim=(-0.34, CAMERA_M + 0.12))
     axes.axis("off")
     axes.set_title("from the side (not to scale)")
 

@@ -5,30 +5,27 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from frogkick.core.poses import PredictionError
 from frogkick.identification.choice import STABLE
 from frogkick.identification.fit import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.refine import RELEASE_PENALTY
-from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN
-from frogkick.identification.segments import Segments
+from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN, CandidateScore
 from frogkick.identification.verdict import FOUND, FOUND_LAW, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Gain
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,
+    missing_figure,
     place_figure,
+    ranked,
     rest_figure,
     time_figure,
     track_figure,
     tried_figure,
 )
 from frogkick.report.identify_residuals import Residuals, explained_shares, residuals_of
-from frogkick.report.law_section import law_section, laws_of
-from frogkick.report.missing_figure import missing_figure
+from frogkick.report.laws import law_section, laws_of
 from frogkick.report.page import Section, Table, write_page
-from frogkick.report.style import figure_uri
 
 TITLE = "What the model lacks"
 SHARES_MOST = 8
@@ -78,44 +75,33 @@ def _gain_words(gain: Gain | None) -> str:
     )
 
 
-def _picture(figure: Figure, caption: str) -> tuple[str, str]:
-    return figure_uri(figure), caption
-
-
 def _errors(outcome: Outcome) -> Section:
-    def row(what: str, error: PredictionError, count: str) -> tuple[str, ...]:
-        return (
-            what,
-            f"{1e3 * error.position_rmse_m:.2f}",
-            f"{math.degrees(error.heading_rmse_rad):.2f}",
-            count,
-        )
+    rows: list[tuple[str, PredictionError, object]] = []
+
+    def add(ahead: str, before: PredictionError, after: PredictionError, more: str = "") -> None:
+        rows.append((f"{ahead}, nominal model{more}", before, before.count))
+        rows.append((f"{ahead}, with identified effects{more}", after, after.count))
 
     tested = outcome.tested
-    rows = [
-        row("1 period ahead, nominal model", tested.before, str(tested.before.count)),
-        row("1 period ahead, with identified effects", tested.after, str(tested.after.count)),
-        row("1 period ahead, noise floor", tested.noise_floor, ""),
-    ]
+    add("1 period ahead", tested.before, tested.after)
+    rows.append(("1 period ahead, noise floor", tested.noise_floor, ""))
     if tested.repeatability.count:
         pairs = f"{tested.repeatability.count} pairs"
-        rows.append(row("repeatability of strokes from similar states", tested.repeatability, pairs))
+        rows.append(("repeatability of strokes from similar states", tested.repeatability, pairs))
     if outcome.followed is not None:
-        followed, count = outcome.followed, str(outcome.followed.after.count)
-        rows.append(row("1 period ahead, nominal model, drift estimated", followed.before, count))
-        rows.append(row("1 period ahead, with identified effects, drift estimated", followed.after, count))
+        add("1 period ahead", outcome.followed.before, outcome.followed.after, ", drift estimated")
     for each in outcome.horizons:
         if each.periods > 1:
-            rows.append(
-                row(f"{each.periods} periods ahead, nominal model", each.before, str(each.before.count))
-            )
-            rows.append(
-                row(
-                    f"{each.periods} periods ahead, with identified effects",
-                    each.after,
-                    str(each.after.count),
-                )
-            )
+            add(f"{each.periods} periods ahead", each.before, each.after)
+    table = Table.of(
+        rows,
+        {
+            "prediction": lambda row: row[0],
+            "position, mm RMS": lambda row: f"{1e3 * row[1].position_rmse_m:.2f}",
+            "heading, deg RMS": lambda row: f"{math.degrees(row[1].heading_rmse_rad):.2f}",
+            "predictions": lambda row: row[2],
+        },
+    )
     text = [
         "Each period of the test runs was predicted by the rod simulation from the fixes known at its start "
         "and the recorded action, and compared with the fixes at its end. A multi-step prediction "
@@ -138,8 +124,7 @@ def _errors(outcome: Outcome) -> Section:
             "was not accepted into the model."
         )
     caption = "Errors on the test runs before and after. The dashed line is the noise floor one period ahead."
-    table = Table(("prediction", "position, mm RMS", "heading, deg RMS", "predictions"), rows)
-    return Section("Error before and after", text, table, [_picture(error_figure(outcome), caption)])
+    return Section("Error before and after", text, table, [(error_figure(outcome), caption)])
 
 
 def _tracks(outcome: Outcome, residuals: Residuals) -> Section:
@@ -147,7 +132,7 @@ def _tracks(outcome: Outcome, residuals: Residuals) -> Section:
         "Left: a whole test run. Right: the periods around the largest error of the nominal model, with the "
         "names of the actions. A dashed line leads from the start of each period to its predicted end."
     )
-    picture = _picture(track_figure(outcome, residuals), caption)
+    picture = (track_figure(outcome, residuals), caption)
     return Section("Predictions and measurements", images=[picture])
 
 
@@ -158,13 +143,13 @@ def _residual(outcome: Outcome, residuals: Residuals) -> Section:
         "appears in one place. A battery or a warm-up appears over time.",
     )
     pictures = [
-        _picture(
+        (
             cause_figure(outcome, residuals),
             "Above: residuals by action. Below: the residual of each limb's strokes by least squares over "
             "all test periods, forward and left in the robot's frame. Bars are two standard errors.",
         ),
-        _picture(time_figure(outcome, residuals), "The residual of each period of the test runs."),
-        _picture(
+        (time_figure(outcome, residuals), "The residual of each period of the test runs."),
+        (
             place_figure(residuals),
             "Residuals by place: dots are the measured ends of periods, arrows the residuals there. The "
             "arrows are magnified by the same factor on both sides.",
@@ -178,7 +163,7 @@ def _residual(outcome: Outcome, residuals: Residuals) -> Section:
             "band of two standard deviations; the log likelihood ratio of each stroke, fired to not fired; "
             "the innovation of each fix in robust standard deviations."
         )
-        pictures.append(_picture(missing, caption))
+        pictures.append((missing, caption))
     return Section("Residuals by action, limb, time and place", text, images=pictures)
 
 
@@ -186,39 +171,40 @@ def _effects(outcome: Outcome) -> Section:
     if not outcome.terms:
         return Section("Identified effects", ["No effect was accepted into the model."])
     assert outcome.found is not None
-    fixed, rows, index = outcome.found.fitted.model.fixed, [], 0
     why = (
         f"fixed at the nominal value: as a free parameter it would gain less than {RELEASE_PENALTY:g}, "
         "which is no more than noise"
         if outcome.found.iterations
         else "fixed: the calibrated robot that the fit started from has the nominal value"
     )
-    for term, parameters in zip(outcome.terms, outcome.parameters, strict=True):
-        for declared, each in zip(term.parameters, parameters, strict=True):
-            is_held = index in fixed
-            rows.append(
-                (
-                    term.title,
-                    each.name + (f" ({declared.about})" if declared.about else ""),
-                    f"{each.value:.4g}",
-                    "" if is_held else f"{each.low:.4g} to {each.high:.4g}",
-                    "" if each.unit == "1" else each.unit,
-                    f"{declared.nominal:g}",
-                    why if is_held else "fitted",
-                )
-            )
-            index += 1
+    every = [
+        (term.title, declared, each)
+        for term, parameters in zip(outcome.terms, outcome.parameters, strict=True)
+        for declared, each in zip(term.parameters, parameters, strict=True)
+    ]
+    held = outcome.found.fitted.model.fixed
+    rows = [
+        (
+            title,
+            each.name + (f" ({declared.about})" if declared.about else ""),
+            f"{each.value:.4g}",
+            "" if index in held else f"{each.low:.4g} to {each.high:.4g}",
+            "" if each.unit == "1" else each.unit,
+            f"{declared.nominal:g}",
+            why if index in held else "fitted",
+        )
+        for index, (title, declared, each) in enumerate(every)
+    ]
+    shares = ", ".join(
+        f"{term.title} {100.0 * share:.0f} percent"
+        for term, share in zip(outcome.terms, outcome.found.stability, strict=True)
+    )
     text = [
         "These effects are terms of the simulator with physical parameters. They are written into the "
         "robot's file, from which a new library and new tables are made. Each interval contains the true "
         "value with 95 percent probability.",
         "Share of bootstrap samples of the training runs (blocks of periods with replacement) in which each "
-        "effect was accepted: "
-        + ", ".join(
-            f"{term.title} {100.0 * share:.0f} percent"
-            for term, share in zip(outcome.terms, outcome.found.stability, strict=True)
-        )
-        + f". An effect below {100.0 * STABLE:.0f} percent is not named.",
+        f"effect was accepted: {shares}. An effect below {100.0 * STABLE:.0f} percent is not named.",
     ]
     header = ("effect", "parameter", "value", "interval", "unit", "nominal value", "how")
     return Section("Identified effects", text, Table(header, rows))
@@ -241,45 +227,40 @@ def _tried(outcome: Outcome) -> Section:
         f"each free parameter, is more than {EFFECT_PENALTY:g} (dashed). Its gain for each held-out period "
         f"is more than {HELD_OUT_GAIN_MIN:g} and, up to a gain of {DECISIVE_GAIN:g}, more than twice its "
         "value by chance.",
-        *(_iteration_words(index, outcome) for index in range(len(iterations))),
+        *(_iteration_words(index, tried) for index, tried in enumerate(iterations, 1)),
     ]
-    rows = []
-    for iteration, tried in enumerate(iterations, 1):
-        seen: set[str] = set()
-        for each in sorted(tried, key=lambda each: (not each.chosen, not each.refined, -each.gain)):
-            if each.title not in seen and (each.refined or len(seen) < 6):
-                held_out = f"{each.held_out:.2f}" if each.refined else "not simulated"
-                rows.append(
-                    (
-                        str(iteration),
-                        each.title,
-                        f"{each.gain:.0f}",
-                        held_out,
-                        "accepted" if each.chosen else "",
-                    )
-                )
-            seen.add(each.title)
-    header = ("iteration", "candidate", "gain", "held-out gain for each period", "")
-    images = [
-        _picture(
-            tried_figure(iterations),
-            "Gains of the candidates in each iteration; the accepted one is magenta.",
-        )
+    rows = [
+        (index, each)
+        for index, tried in enumerate(iterations, 1)
+        for place, each in enumerate(ranked(tried))
+        if each.refined or place < 6
     ]
-    return Section("Candidate effects and their selection", text_of, Table(header, rows), images)
+    table = Table.of(
+        rows,
+        {
+            "iteration": lambda row: row[0],
+            "candidate": lambda row: row[1].title,
+            "gain": lambda row: f"{row[1].gain:.0f}",
+            "held-out gain for each period": lambda row: (
+                f"{row[1].held_out:.2f}" if row[1].refined else "not simulated"
+            ),
+            "": lambda row: "accepted" if row[1].chosen else "",
+        },
+    )
+    caption = "Gains of the candidates in each iteration; the accepted one is magenta."
+    images = [(tried_figure(iterations), caption)]
+    return Section("Candidate effects and their selection", text_of, table, images)
 
 
-def _iteration_words(index: int, outcome: Outcome) -> str:
-    assert outcome.found is not None
-    tried = outcome.found.iterations[index]
+def _iteration_words(number: int, tried: list[CandidateScore]) -> str:
     taken = next((each for each in tried if each.chosen), None)
     others = sorted((each for each in tried if each is not taken), key=lambda each: -each.gain)
     if taken is None:
         best = f"the best, {others[0].title}, gains {others[0].gain:.0f}" if others else "none was left"
-        return f"Iteration {index + 1}: no effect was accepted; {best}."
+        return f"Iteration {number}: no effect was accepted; {best}."
     after = f"; the next best was {others[0].title} with {others[0].gain:.0f}" if others else ""
     return (
-        f"Iteration {index + 1}: {taken.title} was accepted with a gain of {taken.gain:.0f}, and of "
+        f"Iteration {number}: {taken.title} was accepted with a gain of {taken.gain:.0f}, and of "
         f"{taken.held_out:.2f} for each held-out period{after}."
     )
 
@@ -296,11 +277,8 @@ def _apart(outcome: Outcome) -> Section:
     ] or ["Every identified effect explains these runs clearly better than all other candidates."]
     if outcome.experiment is not None:
         said = outcome.experiment.text
-        text.append(
-            f"A decisive experiment: {said}."
-            if outcome.experiment.decisive
-            else f"{said[:1].upper()}{said[1:]}."
-        )
+        is_decisive = outcome.experiment.decisive
+        text.append(f"A decisive experiment: {said}." if is_decisive else f"{said[:1].upper()}{said[1:]}.")
     rows = [(title, f"{100.0 * share:.0f}") for title, share in explained_shares(outcome)[:SHARES_MOST]]
     if not rows:
         return Section("Confounded effects", text)
@@ -319,41 +297,36 @@ def _rest(outcome: Outcome) -> Section:
         "Each bar shows how much of the residuals' sum of squares one variable explains, such as the action "
         "alone. If all bars are small, the residuals are noise or depend on none of these variables.",
     ]
-    rows = [
-        (
-            name,
-            str(row["periods"]),
-            f"{1e3 * row['forward_m']:+.2f}",
-            f"{1e3 * row['left_m']:+.2f}",
-            f"{math.degrees(row['heading_rad']):+.2f}",
-        )
-        for name, row in outcome.diagnostics["by_action"].items()
-    ]
-    table = Table(("action", "periods", "mean forward, mm", "mean left, mm", "mean heading, deg"), rows)
+    table = Table.of(
+        outcome.diagnostics["by_action"].items(),
+        {
+            "action": lambda row: row[0],
+            "periods": lambda row: row[1]["periods"],
+            "mean forward, mm": lambda row: f"{1e3 * row[1]['forward_m']:+.2f}",
+            "mean left, mm": lambda row: f"{1e3 * row[1]['left_m']:+.2f}",
+            "mean heading, deg": lambda row: f"{math.degrees(row[1]['heading_rad']):+.2f}",
+        },
+    )
     caption = "Residuals on the training runs with the identified effects."
-    return Section("Unexplained residuals", text, table, [_picture(rest_figure(outcome), caption)])
+    return Section("Unexplained residuals", text, table, [(rest_figure(outcome), caption)])
 
 
 def _terms(outcome: Outcome) -> Section:
     """The runs, and the terms of this page."""
-
-    def rows_of(which: str, swims: list[Segments]) -> list[tuple[str, ...]]:
-        return [
-            (
-                which,
-                swim.name,
-                str(len(swim.start_s)),
-                f"{swim.period_s:.3f}",
-                f"{1e3 * swim.lag_s:.0f}" if swim.lag_s else "in the log",
-            )
-            for swim in swims
-        ]
-
-    rows = rows_of("training", list(outcome.train)) + rows_of("test", list(outcome.test))
     text = [
         f"The nominal model is {outcome.robot.title} ({outcome.robot.id}) as its file describes it. A period "
         "is the time of one action, which fires some limbs. The period and the delay from command to motion "
         "are estimated from each run first, so that a clock error is not taken for physics.",
     ]
-    header = ("used", "run", "periods", "period, s", "delay to motion, ms")
-    return Section("Runs and terms", text, Table(header, rows))
+    swims = [("training", swim) for swim in outcome.train] + [("test", swim) for swim in outcome.test]
+    table = Table.of(
+        swims,
+        {
+            "used": lambda row: row[0],
+            "run": lambda row: row[1].name,
+            "periods": lambda row: len(row[1].start_s),
+            "period, s": lambda row: f"{row[1].period_s:.3f}",
+            "delay to motion, ms": lambda row: f"{1e3 * row[1].lag_s:.0f}" if row[1].lag_s else "in the log",
+        },
+    )
+    return Section("Runs and terms", text, table)

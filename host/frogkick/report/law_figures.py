@@ -15,8 +15,8 @@ from frogkick.effects import Body, History, Law, Stroke
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.segments import Segments
 from frogkick.report import style
+from frogkick.report.identify_figures import AXES, limb_panel
 from frogkick.report.identify_residuals import Residuals, by_limb, residuals_of
-from frogkick.report.law_words import depends_on
 
 CELLS, FINE = 15, 60
 """Arrows and cells of a field along the pool's longer side."""
@@ -65,6 +65,25 @@ class Periods:
         return world_from_body(self.pose[:, 2], residuals) if pool else residuals
 
 
+def depends_on(law: Law) -> str:
+    """Return a key of NEEDS: what a law mainly depends on."""
+    if "chance" in law.names:
+        return "chance"
+    if law.names & {"x_m", "y_m"}:
+        return "place"
+    if "time_s" in law.names:
+        return "time in cycles" if "cycle" in law.names else "time"
+    if "heading_rad" in law.names:
+        return "heading"
+    if law.names & {"forward_mps", "left_mps", "turn_radps"}:
+        return "speed"
+    if "strokes" in law.names:
+        return "time"
+    if "since_s" in law.names:
+        return "rest"
+    return "limbs" if law.on == "stroke" else "heading"
+
+
 def periods_of(outcome: Outcome) -> Periods:
     """Return all periods of an outcome's runs."""
     parts = [
@@ -106,8 +125,12 @@ def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
         elif depends_on(law) in ("limbs", "chance", "rest") and law.on == "stroke":
             left, *rest = figure.subplots(1, 3)
             _bars(left, law, outcome)
+            of_limbs = [
+                (shift, colour, legend, *by_limb(getattr(periods, which), periods.limbs))
+                for (which, colour, _, legend), shift in zip(BOTH, (-0.12, 0.12), strict=True)
+            ]
             for axes, axis in zip(rest, _telling(periods, False), strict=True):
-                _by_limb(axes, periods, axis, outcome)
+                limb_panel(axes, outcome.robot, axis, of_limbs, "Residuals by limb")
         else:
             left, *rest = figure.subplots(1, 3)
             name, values = _along(law, periods)
@@ -175,15 +198,11 @@ def _arrows(axes: Axes, periods: Periods) -> None:
     """Residuals in the pool as arrows, raw and explained, at one scale."""
     reach = 100.0 * float(max(*(_area(periods)[1] - _area(periods)[0])))
     sizes = 100.0 * np.hypot(*periods.seen("raw", True)[:, :2].T)
-    magnified = 0.12 * reach / max(float(np.percentile(sizes, 90)), 1e-9)
-    factor = 10.0 ** np.floor(np.log10(magnified))
-    factor *= 5.0 if magnified > 5.0 * factor else 2.0 if magnified > 2.0 * factor else 1.0
-    for which, colour, _, label in BOTH:
-        axes.quiver(
-            *(100.0 * periods.pose[:, :2].T), *(100.0 * factor * periods.seen(which, True)[:, :2].T),
-            angles="xy", scale_units="xy", scale=1.0, color=colour, width=0.004 if which == "raw" else 0.002,
-            zorder=2 if which == "raw" else 3, label=label,
-        )  # fmt: skip
+    factor = style.round_factor(0.12 * reach / max(float(np.percentile(sizes, 90)), 1e-9))
+    for (which, colour, _, label), width, above in zip(BOTH, (0.004, 0.002), (2, 3), strict=True):
+        look = style.look(color=colour, width=width, zorder=above, label=label)
+        arrows = 100.0 * factor * periods.seen(which, True)[:, :2].T
+        axes.quiver(*(100.0 * periods.pose[:, :2].T), *arrows, **style.TO_SCALE, **look)
     style.pool_axes(axes)
     axes.set_title(f"Residuals a period ahead, magnified {factor:g} times")
 
@@ -228,28 +247,22 @@ def _curve(axes: Axes, law: Law, name: str, values: Float64) -> None:
         axes.plot(factor * along, shown, line, color=style.PREDICTED, label=_LABELS[key])
     axes.set_xlabel(label)
     what = _LABELS[keys[0]] if len(keys) == 1 else _LABELS[keys[0]].split(" ")[0]
-    axes.set_ylabel(f"{what}{beside} ({unit})")
-    axes.set_title("The law")
+    axes.set(ylabel=f"{what}{beside} ({unit})", title="The law")
     if len(keys) > 1:
         axes.margins(y=0.25)
         axes.legend(loc="upper right", ncols=2)
 
 
-_RESIDUALS = (("forward", "mm", 1e3), ("left", "mm", 1e3), ("heading", "deg", 57.29578))
-
-
 def _dots(axes: Axes, periods: Periods, axis: int, name: str, values: Float64, pool: bool) -> None:
     """Residuals of each period over the law's variable."""
     factor, label = _VARIABLES["time_s" if name == "strokes" else name]
-    what, unit, scale = _RESIDUALS[axis]
+    what, unit, scale = AXES[axis]
     what = ("along x", "along y", what)[axis] if pool else what
     for which, colour, marker, legend in BOTH:
         residuals = scale * periods.seen(which, pool)[:, axis]
         axes.plot(factor * values, residuals, marker, color=colour, markersize=3.5, label=legend)
     axes.axhline(0.0, color=style.DESIRED, linewidth=0.8)
-    axes.set_xlabel(label)
-    axes.set_ylabel(f"residual of a period ({unit})")
-    axes.set_title(f"Residuals: {what}")
+    axes.set(xlabel=label, ylabel=f"residual of a period ({unit})", title=f"Residuals: {what}")
 
 
 def _bars(axes: Axes, law: Law, outcome: Outcome) -> None:
@@ -268,23 +281,6 @@ def _bars(axes: Axes, law: Law, outcome: Outcome) -> None:
             axes.bar(at, mean, 0.6, color=style.PREDICTED)
             axes.plot((at, at), (min(some), max(some)), color=style.FLOOR, linewidth=1.2)
     axes.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names])
-    axes.set_xlabel("limb")
-    axes.set_ylabel("share of the stroke (1)")
-    axes.set_title("The law: mean, least and most in the runs")
-
-
-def _by_limb(axes: Axes, periods: Periods, axis: int, outcome: Outcome) -> None:
-    """The residual of each limb's strokes by least squares, raw and explained."""
-    what, unit, scale = _RESIDUALS[axis]
-    names = [limb.name.replace("_", "\n") for limb in outcome.robot.limbs]
-    for (which, colour, _, legend), shift in zip(BOTH, (-0.12, 0.12), strict=True):
-        each, error = by_limb(getattr(periods, which), periods.limbs)
-        axes.errorbar(
-            np.arange(len(names)) + shift, scale * each[:, axis], 2.0 * scale * error[:, axis], fmt="o",
-            color=colour, capsize=3, label=legend,
-        )  # fmt: skip
-    axes.axhline(0.0, color=style.DESIRED, linewidth=0.8)
-    axes.set_xticks(range(len(names)), names)
-    axes.set_xlabel("limb")
-    axes.set_ylabel(f"residual per stroke ({unit})")
-    axes.set_title(f"Residuals by limb: {what}")
+    axes.set(
+        xlabel="limb", ylabel="share of the stroke (1)", title="The law: mean, least and most in the runs"
+    )

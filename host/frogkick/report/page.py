@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 import jinja2
 
 from frogkick.core.files import write_text
+from frogkick.report.style import figure_uri
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -16,7 +23,12 @@ class Table:
     """A table: header cells and rows of cells."""
 
     header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    rows: Sequence[Sequence[object]]
+
+    @classmethod
+    def of(cls, items: Iterable[Item], columns: Mapping[str, Callable[[Item], object]]) -> Table:
+        """Return a table with a row for each item; ``columns``: head of a column -> its cell for an item."""
+        return cls(tuple(columns), [[cell(item) for cell in columns.values()] for item in items])
 
 
 @dataclass(frozen=True)
@@ -27,26 +39,39 @@ class Section:
         title: heading.
         text: paragraphs.
         table: a table or None.
-        images: (data URI, caption) of each picture.
+        images: (figure or PNG, caption) of each picture.
         links: (file beside the page, its description) of each link.
     """
 
     title: str
     text: Sequence[str] = ()
     table: Table | None = None
-    images: Sequence[tuple[str, str]] = field(default_factory=tuple)
-    links: Sequence[tuple[str, str]] = field(default_factory=tuple)
+    images: Sequence[tuple[Figure | bytes, str]] = ()
+    links: Sequence[tuple[str, str]] = ()
 
 
 def write_page(target: Path, title: str, lead: str, sections: Sequence[Section]) -> None:
     """Write one HTML file that needs no other file.
 
     Args:
+        target: the file.
         title: title of the page.
         lead: the first paragraph, which summarises the page.
         sections: sections in order.
+
+    Raises:
+        InputError: the file cannot be written.
     """
-    write_text(target, rendered("page.html.jinja", title=title, lead=lead, sections=sections))
+    write_text(
+        target, rendered("page.html.jinja", title=title, lead=lead, sections=sections, uri_of=figure_uri)
+    )
+
+
+def left_out(rows: Sequence[tuple[str, str]], what: str) -> Section:
+    """Return the section of what is not on a page: rows of what (a case, a design) and the reason."""
+    if not rows:
+        return Section("Left out", [f"No {what} was left out."])
+    return Section("Left out", table=Table((what, "reason"), rows))
 
 
 def rendered(template: str, **values: object) -> str:

@@ -11,7 +11,7 @@ from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
 from frogkick.report.run_figure import run_figure
-from frogkick.report.style import ESTIMATED, NOMINAL, PREDICTED, figure_uri, legend_below, new_figure
+from frogkick.report.style import ESTIMATED, NOMINAL, PREDICTED, legend_below, new_figure
 from frogkick.ring import Closing, Ring, RingRun
 from frogkick.runs.live_view import fan_of
 from frogkick.runs.record import lost_of
@@ -32,20 +32,17 @@ def write_ring_report(target: Path, ring: Ring) -> None:
     )
     sections = [_robot(ring), _paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring)]
     if ring.closing is not None:
-        tested = ring.closing.outcome.tested
+        outcome = ring.closing.outcome
+        found = ", ".join(term.title for term in outcome.terms) or "no effect"
         lead += (
             " Then a limb was worn, and the model did not contain the wear. The verdict of identification "
-            f"from the logs of four runs is: {ring.closing.outcome.verdict} ({_found(ring.closing)}). One "
-            f"period ahead on the test run, the nominal model has an error of {tested.before}. With the "
-            f"identified effects the error is {tested.after}. Noise of the fixes alone causes "
-            f"{tested.noise_floor}."
+            f"from the logs of four runs is: {outcome.verdict} ({found}). One "
+            f"period ahead on the test run, the nominal model has an error of {outcome.tested.before}. With "
+            f"the identified effects the error is {outcome.tested.after}. Noise of the fixes alone causes "
+            f"{outcome.tested.noise_floor}."
         )
         sections.append(_closing(ring.closing))
     write_page(target, "frogkick: once round the ring", lead, [*sections, _how(ring)])
-
-
-def _found(closing: Closing) -> str:
-    return ", ".join(term.title for term in closing.outcome.terms) or "no effect"
 
 
 def _closing(closing: Closing) -> Section:
@@ -74,46 +71,31 @@ def _closing(closing: Closing) -> Section:
         else "No effect was found, so library, table and firmware stayed as they were.",
         "With the old table the robot can learn what its limbs have lost while it swims (run --learn). Then "
         f"it was {1e3 * closing.distance_m(closing.learned):.1f} mm from the same paths, and believed at the "
-        f"end: {_believed(closing)}.",
+        f"end: {', '.join(_believed(run) for run in closing.learned)}.",
     ]
-    text += _got_worse(closing)
-    images = [(figure_uri(error_figure(outcome)), "Errors on the test run before and after.")]
-    if closing.new:
-        images.append(
-            (
-                figure_uri(_distances(closing)),
-                "The worn robot on its paths, each time with the same noise.",
-            )
+    worse = [
+        f"the {_name(old)} from {_distance(old)} to {_distance(new)} mm"
+        for old, new in zip(closing.old, closing.new, strict=False)
+        if new.tracking.mean_distance_m > old.tracking.mean_distance_m
+    ]
+    if worse:
+        text.append(
+            f"Not every path improved: {', '.join(worse)}. Each value comes from one swim, in which a "
+            "different early decision changes the rest. 'frogkick study loop' averages over many seeds."
         )
+    images = [(error_figure(outcome), "Errors on the test run before and after.")]
+    if closing.new:
+        images.append((_distances(closing), "The worn robot on its paths, each time with the same noise."))
     table = Table(("found", "parameter", "value", "interval", "hidden value"), rows) if rows else None
     links = [("identify.html", "The full report of the identification")]
     return Section("A worn limb, identified from the logs", text, table, images, links)
 
 
-def _believed(closing: Closing) -> str:
-    """Return what the robot had learned at the end of each run."""
-    told = []
-    for run in closing.learned:
-        shares = lost_of(run.log) or {}
-        lost = [f"{name} has lost {100.0 * share:.0f} %" for name, share in shares.items() if share]
-        told.append(f"on the {_name(run)} {' and '.join(lost) or 'nothing is lost'}")
-    return ", ".join(told)
-
-
-def _got_worse(closing: Closing) -> list[str]:
-    """Return a paragraph on the paths that the new firmware follows less well, if there are any."""
-    worse = [
-        f"the {_name(old)} from {1e3 * old.tracking.mean_distance_m:.1f} to "
-        f"{1e3 * new.tracking.mean_distance_m:.1f} mm"
-        for old, new in zip(closing.old, closing.new, strict=False)
-        if new.tracking.mean_distance_m > old.tracking.mean_distance_m
-    ]
-    if not worse:
-        return []
-    return [
-        f"Not every path improved: {', '.join(worse)}. Each value comes from one swim, in which a different "
-        "early decision changes the rest. 'frogkick study loop' averages over many seeds."
-    ]
+def _believed(run: Trial) -> str:
+    """Return what the robot had learned at the end of a run."""
+    shares = lost_of(run.log) or {}
+    lost = [f"{name} has lost {100.0 * share:.0f} %" for name, share in shares.items() if share]
+    return f"on the {_name(run)} {' and '.join(lost) or 'nothing is lost'}"
 
 
 def _distances(closing: Closing) -> Figure:
@@ -130,9 +112,7 @@ def _distances(closing: Closing) -> Figure:
             for place, height in enumerate(heights):
                 axes.text(place + shift, height, f"{height:.1f}", ha="center", va="bottom", fontsize=8)
         axes.set_xticks(range(len(names)), names)
-        axes.set_xlabel("path")
-        axes.set_ylabel("mean distance (mm)")
-        axes.set_title("Worn robot: distance to the path")
+        axes.set(xlabel="path", ylabel="mean distance (mm)", title="Worn robot: distance to the path")
         axes.margins(y=0.12)
         legend_below(figure, axes, 3)
     return figure
@@ -140,6 +120,10 @@ def _distances(closing: Closing) -> Figure:
 
 def _name(run: Trial) -> str:
     return run.log.path.name if run.log.path else "path"
+
+
+def _distance(run: Trial) -> str:
+    return f"{1e3 * run.tracking.mean_distance_m:.1f}"
 
 
 def _robot(ring: Ring) -> Section:
@@ -152,9 +136,9 @@ def _robot(ring: Ring) -> Section:
         f"{robot.second_delay_s:g} s later.",
     )
     images = (
-        (figure_uri(robot_figure(robot)), "The robot from above, swimming up the page."),
+        (robot_figure(robot), "The robot from above, swimming up the page."),
         (
-            figure_uri(actions_figure(robot, ends)),
+            actions_figure(robot, ends),
             "The actions. Orange limbs are heated first, pink ones after them. The arrow and the numbers "
             "show how far a stroke from rest moves the robot in one period, and how far it turns the robot "
             "(positive: to the left).",
@@ -171,11 +155,10 @@ def _why(ring: Ring) -> list[str]:
         return []
     asked_deg, turned_deg = np.rad2deg(bends.asked_rad), np.rad2deg(bends.turned_rad)
     text = (
-        f"The {_name(worst)} is followed least well, with a mean distance of "
-        f"{1e3 * worst.tracking.mean_distance_m:.1f} mm. In one period the robot moved "
-        f"{1e3 * bends.step_m:.0f} mm along it. Where the path bends most, its direction changes by "
-        f"{asked_deg:.0f} degrees over that length. The largest turn of the robot in any period was "
-        f"{turned_deg:.0f} degrees."
+        f"The {_name(worst)} is followed least well, with a mean distance of {_distance(worst)} mm. In one "
+        f"period the robot moved {1e3 * bends.step_m:.0f} mm along it. Where the path bends most, its "
+        f"direction changes by {asked_deg:.0f} degrees over that length. The largest turn of the robot in "
+        f"any period was {turned_deg:.0f} degrees."
     )
     if bends.too_tight:
         text += (
@@ -188,33 +171,22 @@ def _why(ring: Ring) -> list[str]:
 
 
 def _paths(ring: Ring) -> Section:
-    rows = [
-        (
-            _name(run),
-            f"{1e3 * run.tracking.mean_distance_m:.1f}",
-            f"{1e3 * run.tracking.p95_distance_m:.1f}",
-            f"{1e3 * run.tracking.progress_mps:.1f}",
-            "yes" if run.tracking.completed else f"no ({run.log.notes})",
-            str(run.tracking.decisions),
-            f"{run.missed.error:.1f}",
-            str(run.mismatches),
-            str(run.tracking.limit_violations),
-        )
-        for run in ring.runs
-    ]
-    header = (
-        "path",
-        "mean distance, mm",
-        "95th percentile, mm",
-        "progress, mm/s",
-        "completed",
-        "decisions",
-        "prediction error",
-        "chip against Python twin, mismatches",
-        "limits broken",
+    table = Table.of(
+        ring.runs,
+        {
+            "path": _name,
+            "mean distance, mm": _distance,
+            "95th percentile, mm": lambda run: f"{1e3 * run.tracking.p95_distance_m:.1f}",
+            "progress, mm/s": lambda run: f"{1e3 * run.tracking.progress_mps:.1f}",
+            "completed": lambda run: "yes" if run.tracking.completed else f"no ({run.log.notes})",
+            "decisions": lambda run: run.tracking.decisions,
+            "prediction error": lambda run: f"{run.missed.error:.1f}",
+            "chip against Python twin, mismatches": lambda run: run.mismatches,
+            "limits broken": lambda run: run.tracking.limit_violations,
+        },
     )
     links = [(f"{_name(run)}.h5", f"The log of the {_name(run)}") for run in ring.runs]
-    return Section("The paths", _why(ring), Table(header, rows), links=links)
+    return Section("The paths", _why(ring), table, links=links)
 
 
 def _one_path(run: RingRun) -> Section:
@@ -225,30 +197,23 @@ def _one_path(run: RingRun) -> Section:
         "distance to the path; the actions chosen; the error of the robot's own estimate; the error of the "
         "prediction."
     )
-    return Section(name.capitalize(), images=[(figure_uri(figure), caption)])
+    return Section(name.capitalize(), images=[(figure, caption)])
 
 
 def _chip(ring: Ring) -> Section:
     chip, built = ring.chip, ring.built
+    flash, ram = 100 * built.flash_bytes / FLASH_BYTES, 100 * built.ram_bytes / RAM_BYTES
+    slowest_ms = max(run.tracking.plan_ms_p99 for run in ring.runs)
     rows = [
-        (
-            "flash",
-            f"{built.flash_bytes:,} bytes, {100 * built.flash_bytes / FLASH_BYTES:.1f} % of the chip",
-        ),
+        ("flash", f"{built.flash_bytes:,} bytes, {flash:.1f} % of the chip"),
         ("of which the table", f"{len(ring.tables.image):,} bytes, {len(ring.tables.states)} states"),
-        (
-            "RAM with reserved stack",
-            f"{built.ram_bytes:,} bytes, {100 * built.ram_bytes / RAM_BYTES:.1f} %",
-        ),
+        ("RAM with reserved stack", f"{built.ram_bytes:,} bytes, {ram:.1f} %"),
         ("deepest stack measured", f"{chip.stack_bytes:,} bytes"),
         *(
             (f"one plan at depth {depth}", f"{ms:.2f} ms ({chip.plan_cycles[depth]:,} cycles at 64 MHz)")
             for depth, ms in chip.plan_ms.items()
         ),
-        (
-            "computing time of a decision, 99th percentile",
-            f"{max(run.tracking.plan_ms_p99 for run in ring.runs):.2f} ms",
-        ),
+        ("computing time of a decision, 99th percentile", f"{slowest_ms:.2f} ms"),
         ("firmware trial", f"{sum(chip.checks.values())} of {len(chip.checks)} checks held"),
     ]
     text = (

@@ -34,11 +34,11 @@ def robot_figure(robot: Robot) -> Figure:
         _limbs(axes, robot, mesh, nodes_mm)
         _centre_and_forward(axes, robot, mesh, nodes_mm)
         _window(axes)
-        axes.set_xlabel("y, left (mm)")
-        axes.set_ylabel("x, forward (mm)")
-        axes.set_title(
-            f"{robot.title}\n{robot.id}: {len(robot.limbs)} limbs, {len(robot.actions)} actions, "
-            f"{len(mesh.rest_m)} nodes, {1e3 * robot.mass_kg:.0f} g"
+        axes.set(
+            xlabel="y, left (mm)",
+            ylabel="x, forward (mm)",
+            title=f"{robot.title}\n{robot.id}: {len(robot.limbs)} limbs, {len(robot.actions)} actions, "
+            f"{len(mesh.rest_m)} nodes, {1e3 * robot.mass_kg:.0f} g",
         )
         axes.legend(handles=_legend(robot), loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3)
     return figure
@@ -76,8 +76,7 @@ def actions_figure(robot: Robot, ends: Float64) -> Figure:
                 xytext=(0.0, 0.0),
                 arrowprops={"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0},
             )
-            axes.set_xlim(high[1], low[1])
-            axes.set_ylim(low[0], high[0])
+            axes.set(xlim=(high[1], low[1]), ylim=(low[0], high[0]))
             axes.set_aspect("equal", adjustable="box")
             axes.set_axis_off()
             far_mm, turn_deg = 1e3 * math.hypot(end[0], end[1]), math.degrees(end[2])
@@ -91,8 +90,7 @@ def _window(axes: Axes) -> None:
     half = max(0.72 * box.width, 0.58 * box.height)
     middle_x, middle_y = 0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1)
     # x forward is drawn upwards, so left is left: the robot as seen from above, swimming up the page.
-    axes.set_xlim(middle_x + half, middle_x - half)
-    axes.set_ylim(middle_y - half, middle_y + half)
+    axes.set(xlim=(middle_x + half, middle_x - half), ylim=(middle_y - half, middle_y + half))
     axes.set_aspect("equal", adjustable="box")
 
 
@@ -221,10 +219,10 @@ def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Fig
             time_s = np.linspace(0.0, profile.duration_s, 400)
             axes.plot(stroke.time_s, stroke.curvature_per_m, ".", color=style.TRUE, label="measured")
             axes.plot(time_s, profile.curvature_per_m(time_s), color=style.ALARM, label="fitted")
-            axes.set_title(
-                f"{stroke.name}: {profile.frequency_hz:.3g} Hz, error {profile.rms_per_m:g} 1/m RMS"
+            axes.set(
+                title=f"{stroke.name}: {profile.frequency_hz:.3g} Hz, error {profile.rms_per_m:g} 1/m RMS",
+                ylabel="curvature (1/m)",
             )
-            axes.set_ylabel("curvature (1/m)")
             axes.legend(loc="best")
         rows[-1].set_xlabel("time since the start of the pulse (s)")
     return figure

@@ -134,16 +134,14 @@ def _distance(axes: Axes, run: RunLog, seen: _Seen) -> None:
     if before_end.size:
         axes.set_ylim(0.0, 1.15 * max(1.0, mean_mm, float(distance_mm[: before_end[-1] + 2].max())))
     axes.axhline(mean_mm, color=style.DESIRED, linestyle="--")
-    axes.set_ylabel("distance (mm)")
-    axes.set_title(f"Distance to the path, mean {mean_mm:.1f} mm (dashed)")
+    axes.set(ylabel="distance (mm)", title=f"Distance to the path, mean {mean_mm:.1f} mm (dashed)")
 
 
 def _actions(axes: Axes, run: RunLog, seen: _Seen) -> None:
     axes.step(run.decisions.time_s, run.decisions.action, where="post", color=seen.colour, linewidth=0.8)
     axes.plot(run.decisions.time_s, run.decisions.action, "s", color=seen.colour, markersize=4)
     axes.set_yticks(range(len(run.action_names)), list(run.action_names))
-    axes.set_ylabel("action")
-    axes.set_title("Actions chosen")
+    axes.set(ylabel="action", title="Actions chosen")
 
 
 def _errors(axes: Axes, time_s: Float64, position_mm: Float64, heading_deg: Float64, colour: str) -> None:
@@ -151,8 +149,10 @@ def _errors(axes: Axes, time_s: Float64, position_mm: Float64, heading_deg: Floa
     axes.plot(
         time_s, heading_deg, "^:", color=colour, markersize=3, linewidth=0.8, label="heading (deg)", alpha=0.7
     )
-    axes.set_ylabel("error (mm, deg)")
-    axes.set_ylim(0.0, 1.35 * max(1e-3, float(np.max(position_mm)), float(np.max(heading_deg))))
+    axes.set(
+        ylabel="error (mm, deg)",
+        ylim=(0.0, 1.35 * max(1e-3, float(np.max(position_mm)), float(np.max(heading_deg)))),
+    )
     axes.legend(loc="upper right", ncols=2)
 
 
@@ -183,9 +183,9 @@ def _lost(axes: Axes, run: RunLog, seen: _Seen) -> None:
     percent = 100.0 * run.decisions.extra["lost"] / LOST_MAX
     for limb, (name, dash) in enumerate(zip(learned_limbs(run), ("-", "--", "-.", ":") * 2, strict=False)):
         axes.step(run.decisions.time_s, percent[:, limb], where="post", linestyle=dash, label=name)
-    axes.set_ylim(-5.0, 105.0)
-    axes.set_ylabel("lost (%)")
-    axes.set_title("What each limb has lost of its contribution, as learned")
+    axes.set(
+        ylim=(-5.0, 105.0), ylabel="lost (%)", title="What each limb has lost of its contribution, as learned"
+    )
     axes.legend(loc="center right", ncols=2)
 
 
@@ -222,14 +222,11 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
             # Hollow and larger, so that one shows around the other.
             how = {"markersize": 4} if run is runs[0] else {"markersize": 7, "markerfacecolor": "none"}
             lower.plot(run.decisions.time_s - first_s, heights, mark, color=colour, label=name, **how)
-        upper.set_ylabel("distance (mm)")
-        upper.set_title("Distance, each to its own path")
+        upper.set(ylabel="distance (mm)", title="Distance, each to its own path")
         if upper.lines:
             upper.legend(loc="best")
         lower.set_yticks(range(len(every)), every)
-        lower.set_ylabel("action")
-        lower.set_title("Actions chosen")
-        lower.set_xlabel("time since the first decision (s)")
+        lower.set(ylabel="action", title="Actions chosen", xlabel="time since the first decision (s)")
         lower.legend(loc="best")
     return figure
 

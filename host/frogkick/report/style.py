@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path
 
@@ -29,6 +31,9 @@ FLOOR = "#000000"  # error that the noise of the fixes alone causes
 
 PICTURES = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}
 """Ending of a picture's file -> the field of its metadata that would differ each time."""
+
+TO_SCALE: Any = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+"""Options of arrows that are as long as their values on the axes."""
 
 _SETTINGS: Any = {
     "font.size": 9,
@@ -80,6 +85,17 @@ def plain_decades(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def look(**options: Any) -> dict[str, Any]:
+    """Return options of how something is drawn, to share them between calls."""
+    return options
+
+
+def round_factor(wanted: float) -> float:
+    """Return the largest of 1, 2 and 5 times powers of ten that is not above the wanted factor."""
+    factor = 10.0 ** np.floor(np.log10(wanted))
+    return float(factor * (5.0 if wanted > 5.0 * factor else 2.0 if wanted > 2.0 * factor else 1.0))
+
+
 def legend_below(figure: Figure, axes: Axes, columns: int = 5) -> None:
     """Draw the legend of one panel below all panels."""
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
@@ -112,8 +128,14 @@ def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120
         figure.savefig(temporary, format=ending[1:], dpi=dpi, metadata={PICTURES[ending]: None})
 
 
-def figure_uri(figure: Figure) -> str:
-    """Return a figure as a data URI for an <img>."""
+def png_of(figure: Figure) -> bytes:
+    """Return a new figure as a PNG. A layout that was drawn once may come out differently the next time."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120, metadata={"Software": None})
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    return buffer.getvalue()
+
+
+def figure_uri(figure: Figure | bytes) -> str:
+    """Return a new figure, or its PNG, as a data URI for an <img>."""
+    png = figure if isinstance(figure, bytes) else png_of(figure)
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,12 +10,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.files import write_bytes
+from frogkick.der import Gait
 from frogkick.report import style
-from frogkick.report.page import Section, Table, write_page
-from frogkick.report.style import figure_uri
+from frogkick.report.page import Section, Table, left_out, write_page
 from frogkick.validation.sweep import (
     PAPER_PHASE,
     PHASE_TIE_MPS,
@@ -30,18 +29,16 @@ from frogkick.validation.sweep import (
     rank_designs,
 )
 
-FloatArray = NDArray[np.float64]
-
 _TOP = 10
 _MISSING = "#ececec"
 
 
 def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> list[Path]:
     """Write ``sweep.png``, ``phases.png`` and ``sweep.html`` into a folder, with the same bytes each time."""
-    designs, phases = figure_uri(_designs(sweep, verdicts)), figure_uri(_phases(sweep))
+    designs, phases = style.png_of(_designs(sweep, verdicts)), style.png_of(_phases(sweep))
     files = [out / "sweep.png", out / "phases.png", out / "sweep.html"]
-    for file, uri in zip(files, (designs, phases), strict=False):
-        write_bytes(file, base64.b64decode(uri.split(",", 1)[1]))
+    for file, picture in zip(files, (designs, phases), strict=False):
+        write_bytes(file, picture)
     plan = sweep.plan
     lead = (
         f"{len(plan.designs)} designs (EGaIn fraction and frequency) of the robot {plan.robot.title}, each "
@@ -68,54 +65,44 @@ def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> 
         "the phase alone: speed minus the mean over the phases of that design."
     )
     sections.append(Section("Phases", images=[(phases, caption)]))
-    sections.append(_left_out(sweep))
+    rows = [(skipped.case, skipped.reason) for skipped in plan.skipped]
+    rows += [(_named(point.gait, point.gait.phase), point.failure) for point in sweep.points if point.failure]
+    sections.append(left_out(rows, "design"))
     write_page(files[2], "frogkick: sweep of designs and gaits", lead, sections)
     return files
 
 
 def _ranking(title: str, ranked: Sequence[Point]) -> Section:
-    rows = [
-        (
-            str(place),
-            f"{point.gait.egain_percent:g}",
-            f"{point.gait.frequency_hz:g}",
-            f"{point.gait.phase:g}",
-            f"{1e3 * point.speed_mps:.2f}",
-            f"{point.cost_of_transport:.1f}",
-        )
-        for place, point in enumerate(ranked[:_TOP], start=1)
-    ]
-    header = ("rank", "EGaIn, %", "frequency, Hz", "phase", "speed, mm/s", "cost of transport")
-    return Section(title, table=Table(header, rows))
+    table = Table.of(
+        enumerate(ranked[:_TOP], start=1),
+        {
+            "rank": lambda row: row[0],
+            "EGaIn, %": lambda row: f"{row[1].gait.egain_percent:g}",
+            "frequency, Hz": lambda row: f"{row[1].gait.frequency_hz:g}",
+            "phase": lambda row: f"{row[1].gait.phase:g}",
+            "speed, mm/s": lambda row: f"{1e3 * row[1].speed_mps:.2f}",
+            "cost of transport": lambda row: f"{row[1].cost_of_transport:.1f}",
+        },
+    )
+    return Section(title, table=table)
 
 
 def _paper(verdicts: Sequence[Verdict]) -> Section:
     rows = []
     for verdict in verdicts:
-        winner, fast = verdict.winner, verdict.winner.speed_mps is not None
-        theirs = f"{1e3 * (winner.speed_mps or 0.0):.0f} mm/s" if fast else f"{winner.cost_of_transport:g}"
-        ours = f"{1e3 * verdict.ours.speed_mps:.1f} mm/s" if fast else f"{verdict.ours.cost_of_transport:.1f}"
-        best = verdict.best.speed_mps - verdict.ours.speed_mps
-        rows.append(
-            (
-                f"{winner.design.egain_percent:g} %, {winner.design.frequency_hz:g} Hz",
-                "fastest" if fast else "most efficient",
-                theirs,
-                ours,
-                f"{verdict.rank} / {verdict.rank_all_phases}",
-                f"{verdict.best.gait.phase:g} (+{1e3 * best:.2f} mm/s)",
-                verdict.why,
-            )
-        )
+        winner, ours = verdict.winner, verdict.ours
+        better = 1e3 * (verdict.best.speed_mps - ours.speed_mps)
+        if winner.speed_mps is not None:
+            what = ("fastest", f"{1e3 * winner.speed_mps:.0f} mm/s", f"{1e3 * ours.speed_mps:.1f} mm/s")
+        else:
+            what = ("most efficient", f"{winner.cost_of_transport:g}", f"{ours.cost_of_transport:.1f}")
+        ranks = f"{verdict.rank} / {verdict.rank_all_phases}"
+        best = f"{verdict.best.gait.phase:g} (+{better:.2f} mm/s)"
+        rows.append((_named(winner.design), *what, ranks, best, verdict.why))
     header = (
-        "design",
-        "in the paper",
-        "value in the paper",
-        "value here",
-        f"rank at phase {PAPER_PHASE:g} / at any phase",
-        "best phase",
-        "why the figures differ",
-    )
+        "design", "in the paper", "value in the paper", "value here",
+        f"rank at phase {PAPER_PHASE:g} / at any phase", "best phase", "why the figures differ",
+    )  # fmt: skip
     agreeing = sum(verdict.agrees for verdict in verdicts)
     text = (
         f"{agreeing} of {len(verdicts)} designs that the paper names are among the first two of their "
@@ -124,16 +111,9 @@ def _paper(verdicts: Sequence[Verdict]) -> Section:
     return Section("The paper's winners", text, Table(header, rows))
 
 
-def _left_out(sweep: Sweep) -> Section:
-    rows = [(skipped.case, skipped.reason) for skipped in sweep.plan.skipped]
-    rows += [
-        (f"{p.gait.egain_percent:g} %, {p.gait.frequency_hz:g} Hz, phase {p.gait.phase:g}", p.failure)
-        for p in sweep.points
-        if p.failure
-    ]
-    if not rows:
-        return Section("Left out", ("No design was left out.",))
-    return Section("Left out", table=Table(("design", "reason"), rows))
+def _named(design: Design | Gait, phase: float | None = None) -> str:
+    name = f"{design.egain_percent:g} %, {design.frequency_hz:g} Hz"
+    return name if phase is None else f"{name}, phase {phase:g}"
 
 
 def _frequencies(sweep: Sweep) -> list[float]:
@@ -144,7 +124,7 @@ def _fractions(sweep: Sweep) -> list[float]:
     return sorted({design.egain_percent for design in sweep.plan.designs})
 
 
-def _draw(axes: Axes, values: FloatArray, colours: str, low: float, high: float) -> None:
+def _draw(axes: Axes, values: Float64, colours: str, low: float, high: float) -> None:
     axes.set_facecolor(_MISSING)
     axes.grid(False)
     image = axes.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
@@ -167,9 +147,8 @@ def _designs(sweep: Sweep, verdicts: Sequence[Verdict]) -> Figure:
         cell = fractions.index(point.gait.egain_percent), frequencies.index(point.gait.frequency_hz)
         speed[cell] = 1e3 * point.speed_mps
         cost[cell] = point.cost_of_transport if math.isfinite(point.cost_of_transport) else np.nan
-    with style.styled():
-        width = max(6.0, 2.0 + 0.48 * len(frequencies))
-        figure = Figure(figsize=(width, 2 * (1.2 + 0.42 * len(fractions))), layout="constrained")
+    width, height = max(6.0, 2.0 + 0.48 * len(frequencies)), 2 * (1.2 + 0.42 * len(fractions))
+    with style.new_figure(width, height) as figure:
         panels = figure.subplots(2, 1)
         for axes, values, title, colours in (
             (panels[0], speed, "Speed (mm/s)", "viridis"),
@@ -181,8 +160,7 @@ def _designs(sweep: Sweep, verdicts: Sequence[Verdict]) -> Figure:
             axes.set_title(title)
             axes.set_xticks(range(len(frequencies)), [f"{hz:g}" for hz in frequencies])
             axes.set_yticks(range(len(fractions)), [f"{egain:g}" for egain in fractions])
-            axes.set_xlabel("frequency (Hz)")
-            axes.set_ylabel("EGaIn (% by volume)")
+            axes.set(xlabel="frequency (Hz)", ylabel="EGaIn (% by volume)")
         for verdict in verdicts:
             design = verdict.winner.design
             corner = frequencies.index(design.frequency_hz) - 0.5, fractions.index(design.egain_percent) - 0.5
@@ -192,7 +170,7 @@ def _designs(sweep: Sweep, verdicts: Sequence[Verdict]) -> Figure:
 
 
 def _write_cells(
-    axes: Axes, values: FloatArray, sweep: Sweep, frequencies: Sequence[float], fractions: Sequence[float]
+    axes: Axes, values: Float64, sweep: Sweep, frequencies: Sequence[float], fractions: Sequence[float]
 ) -> None:
     """The value in each cell, in black or white, whichever can be read on its colour."""
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
@@ -210,7 +188,7 @@ def _write_cells(
 
 def _phases(sweep: Sweep) -> Figure:
     fractions, phases = _fractions(sweep), sweep.plan.phases
-    tables: dict[float, tuple[list[float], FloatArray, FloatArray]] = {}
+    tables: dict[float, tuple[list[float], Float64, Float64]] = {}
     for fraction in fractions:
         own = [design for design in sweep.plan.designs if design.egain_percent == fraction]
         speed = np.full((len(phases), len(own)), np.nan)
@@ -239,6 +217,5 @@ def _phases(sweep: Sweep) -> Figure:
                 axes.set_title(f"{fraction:g} %: {title}")
                 axes.set_xticks(*_ticks(frequencies, 6))
                 axes.set_yticks(*_ticks(phases))
-                axes.set_xlabel("frequency (Hz)")
-                axes.set_ylabel("phase offset")
+                axes.set(xlabel="frequency (Hz)", ylabel="phase offset")
     return figure

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from frogkick.report import style
-from frogkick.report.page import Section, Table, write_page
-from frogkick.report.style import figure_uri
+from frogkick.report.page import Section, Table, left_out, write_page
 from frogkick.validation.gaits import CYCLES, FIRST_CYCLE
 from frogkick.validation.measured import EXPERIMENTS, SIMULATIONS
 from frogkick.validation.validate import (
@@ -20,7 +21,6 @@ from frogkick.validation.validate import (
     WITHIN_CYCLE_LIMIT_M,
     ExperimentResult,
     Noise,
-    Requirement,
     SimulationResult,
     Validation,
     authors_rmse_mps,
@@ -31,6 +31,7 @@ from frogkick.validation.validate import (
 
 MODEL = style.PREDICTED
 AUTHORS = "#56b4e9"  # of the same palette, for the authors' simulation
+AUTHORS_LABEL = "authors' simulation"
 
 Result = SimulationResult | ExperimentResult
 
@@ -38,50 +39,35 @@ Result = SimulationResult | ExperimentResult
 def write_validation_report(target: Path, validation: Validation, noise: Noise) -> None:
     """Write the report of ``validate`` as one HTML file."""
     speed = speed_rmse_mps(validation)
-    lead = " ".join(
-        text
-        for text in (
-            f"{len(validation.simulations)} of the authors' simulations and {len(validation.experiments)} "
-            f"measured swims are compared with the model {validation.robot.title}, with one parameter set "
-            "for all.",
-            _lead(speed, SIMULATIONS, "Against the authors' simulations"),
-            _lead(speed, EXPERIMENTS, "Against measurement"),
-        )
-        if text
+    lead = (
+        f"{len(validation.simulations)} of the authors' simulations and {len(validation.experiments)} "
+        f"measured swims are compared with the model {validation.robot.title}, with one parameter set "
+        "for all."
     )
+    for kind, against in ((SIMULATIONS, "the authors' simulations"), (EXPERIMENTS, "measurement")):
+        if kind in speed:
+            lead += f" Against {against}: speed RMSE {_mm(speed[kind])} mm/s."
     sections = [_requirements(validation)]
     if validation.simulations:
         sections += [_speeds(validation), _errors(validation), _waves(validation)]
     if validation.experiments:
         sections.append(_experiments(validation, noise))
-    sections += [_cases(validation), _skipped(validation)]
+    skipped = [(each.case, each.reason) for each in validation.skipped]
+    sections += [_cases(validation), left_out(skipped, "case")]
     write_page(target, "frogkick: the model against the paper's data", lead, sections)
-
-
-def _lead(speed: dict[str, float], kind: str, text: str) -> str:
-    return f"{text}: speed RMSE {_mm(speed[kind])} mm/s." if kind in speed else ""
 
 
 def _mm(value_m: float | None, digits: int = 2) -> str:
     return "-" if value_m is None or not math.isfinite(value_m) else f"{1e3 * value_m:.{digits}f}"
 
 
-def _requirement_row(requirement: Requirement) -> tuple[str, ...]:
-    unit = "mm/s" if requirement.what == "speed_rmse_mps" else "mm"
-    what = "speed RMSE" if unit == "mm/s" else "RMS within a cycle"
-    verdict = "held" if requirement.held else "MISSED"
-    return (
-        what,
-        requirement.group,
-        f"{_mm(requirement.value)} {unit}",
-        f"{_mm(requirement.limit, 1)} {unit}",
-        verdict,
-    )
-
-
 def _requirements(validation: Validation) -> Section:
-    rows = [_requirement_row(r) for r in requirements(validation)]
-    rows += [_requirement_row(r) for r in single_groups_above(validation)]
+    rows = []
+    for each in (*requirements(validation), *single_groups_above(validation)):
+        is_speed = each.what == "speed_rmse_mps"
+        what, unit = ("speed RMSE", "mm/s") if is_speed else ("RMS within a cycle", "mm")
+        values = f"{_mm(each.value)} {unit}", f"{_mm(each.limit, 1)} {unit}"
+        rows.append((what, each.group, *values, "held" if each.held else "MISSED"))
     text = (
         "The limits bound the difference from the authors' simulations over all cases of a kind. Below "
         "them are the single groups that exceed the limit of their kind. Measured swims have no limit "
@@ -115,38 +101,34 @@ def _axis_label(sweep: str) -> str:
     return "phase offset (share of the cycle)" if sweep.startswith("phase") else "frequency (Hz)"
 
 
-def _grid(count: int, height: float) -> tuple[Figure, list[Axes]]:
+@contextmanager
+def _panels(count: int, height: float) -> Iterator[tuple[Figure, list[Axes]]]:
+    """Yield a figure and its panels, three in a row, to draw on; their legend is outside of them."""
     columns = min(3, count)
     rows = math.ceil(count / columns)
-    figure = Figure(figsize=(3.8 * columns, height * rows), layout="constrained")
-    axes = list(np.ravel(figure.subplots(rows, columns, squeeze=False)))
-    for spare in axes[count:]:
-        spare.set_visible(False)
-    return figure, axes[:count]
-
-
-def _legend_outside(figure: Figure, axes: Sequence[Axes]) -> None:
-    entries = {
-        label: handle
-        for panel in axes
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=len(entries))
+    with style.new_figure(3.8 * columns, height * rows) as figure:
+        every = list(np.ravel(figure.subplots(rows, columns, squeeze=False)))
+        for spare in every[count:]:
+            spare.set_visible(False)
+        yield figure, every[:count]
+        entries: dict[Any, Any] = {}
+        for panel in every[:count]:
+            handles, labels = panel.get_legend_handles_labels()
+            entries |= zip(labels, handles, strict=True)
+        figure.legend(entries.values(), entries, loc="outside upper center", ncols=len(entries))
 
 
 def _speeds(validation: Validation) -> Section:
     sweeps = _sweeps(validation)
-    with style.styled():
-        figure, panels = _grid(len(sweeps), 2.7)
+    with _panels(len(sweeps), 2.7) as (figure, panels):
         for axes, (sweep, results) in zip(panels, sweeps.items(), strict=True):
             _speed_panel(axes, sweep, results)
-        _legend_outside(figure, panels)
     caption = (
         f"Speed of every gait. Simulated: mean over cycles {FIRST_CYCLE} to {CYCLES}. Measured: slope of a "
         "line through distance over time; bars are two standard deviations of the mean over the whole cycles "
         "of one swim. They do not include the difference between two swims."
     )
-    return Section("Speeds", images=[(figure_uri(figure), caption)])
+    return Section("Speeds", images=[(figure, caption)])
 
 
 def _speed_panel(axes: Axes, sweep: str, results: Sequence[Result]) -> None:
@@ -156,67 +138,43 @@ def _speed_panel(axes: Axes, sweep: str, results: Sequence[Result]) -> None:
     authors = [r for r in ordered if isinstance(r, SimulationResult)]
     if authors:
         rows = np.array([(_place(r, sweep), 1e3 * r.reference_mps) for r in authors])
-        axes.plot(*rows.T, "s--", color=AUTHORS, markersize=4, label="authors' simulation")
+        axes.plot(*rows.T, "s--", color=AUTHORS, markersize=4, label=AUTHORS_LABEL)
     swims = [r for r in ordered if isinstance(r, ExperimentResult)]
     if swims:
         rows = np.array([(_place(r, sweep), 1e3 * r.reference.speed_mps) for r in swims])
         bars = [2e3 * (r.reference.sd_mps or 0.0) for r in swims]
-        axes.errorbar(
-            rows[:, 0],
-            rows[:, 1],
-            yerr=bars,
-            fmt="D",
-            color=style.MEASURED,
-            markersize=4,
-            capsize=2,
-            label="measured",
-        )
+        look = style.look(color=style.MEASURED, markersize=4, capsize=2, label="measured")
+        axes.errorbar(rows[:, 0], rows[:, 1], bars, fmt="D", **look)
     axes.set_ylim(bottom=0.0)
-    axes.set_title(_title(sweep))
-    axes.set_xlabel(_axis_label(sweep))
-    axes.set_ylabel("speed (mm/s)")
+    axes.set(title=_title(sweep), xlabel=_axis_label(sweep), ylabel="speed (mm/s)")
 
 
 def _errors(validation: Validation) -> Section:
     kinds = [kind for kind in SPEED_LIMITS_MPS if any(_in(r, kind) for r in validation.simulations)]
     with style.new_figure(11.0, 3.4 * len(kinds)) as figure:
-        for row, kind in zip(
-            np.atleast_2d(figure.subplots(len(kinds), 2, squeeze=False)), kinds, strict=True
-        ):
-            members = [r for r in validation.simulations if _in(r, kind)]
-            for marker, group in zip("os^Dv<>P" * 8, sorted({r.case.group for r in members}), strict=False):
-                sweep = group.split("/", 1)[1]
-                own = [r for r in members if r.case.group == group]
-                x = [_place(r, sweep) for r in own]
-                for axes, y in zip(
-                    row, ([r.error_mps for r in own], [r.within_cycle_rms_m for r in own]), strict=True
-                ):
-                    line = f"{marker}-"
-                    axes.plot(
-                        x,
-                        1e3 * np.array(y),
-                        line,
-                        color=MODEL,
-                        markersize=4,
-                        linewidth=0.8,
-                        label=_title(sweep),
-                    )
-            limit = 1e3 * SPEED_LIMITS_MPS[kind]
-            for edge in (-limit, limit):
-                row[0].axhline(edge, color="black", linestyle=":", linewidth=1.0)
-            row[1].axhline(1e3 * WITHIN_CYCLE_LIMIT_M, color="black", linestyle=":", linewidth=1.0)
-            row[1].set_ylim(bottom=0.0)
-            name = "frequency" if kind.endswith("freq") else "phase offset"
-            row[0].set_title(f"Speed over {name}: model minus authors")
-            row[1].set_title(f"Within a cycle over {name}: RMS difference")
-            row[0].set_ylabel("speed difference (mm/s)")
-            row[1].set_ylabel("RMS difference (mm)")
-            for axes in row:
-                axes.set_xlabel(_axis_label(kind.split("/")[1]))
-            row[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        for row, kind in zip(figure.subplots(len(kinds), 2, squeeze=False), kinds, strict=True):
+            _error_panels(row[0], row[1], kind, [r for r in validation.simulations if _in(r, kind)])
     text = ("Dotted lines are the limits. They hold for the RMS over all cases of a row, not for each case.",)
     caption = "Difference of every simulated case, one marker for each sweep (legend on the right)."
-    return Section("Against the authors' simulations", text, images=[(figure_uri(figure), caption)])
+    return Section("Against the authors' simulations", text, images=[(figure, caption)])
+
+
+def _error_panels(speed: Axes, wave: Axes, kind: str, members: Sequence[SimulationResult]) -> None:
+    for marker, group in zip("os^Dv<>P" * 8, sorted({r.case.group for r in members}), strict=False):
+        sweep = group.split("/", 1)[1]
+        own = [r for r in members if r.case.group == group]
+        x = [_place(r, sweep) for r in own]
+        look = style.look(color=MODEL, markersize=4, linewidth=0.8, label=_title(sweep))
+        speed.plot(x, 1e3 * np.array([r.error_mps for r in own]), f"{marker}-", **look)
+        wave.plot(x, 1e3 * np.array([r.within_cycle_rms_m for r in own]), f"{marker}-", **look)
+    limit = 1e3 * SPEED_LIMITS_MPS[kind]
+    for axes, edge in ((speed, -limit), (speed, limit), (wave, 1e3 * WITHIN_CYCLE_LIMIT_M)):
+        axes.axhline(edge, color="black", linestyle=":", linewidth=1.0)
+    wave.set_ylim(bottom=0.0)
+    name, along = "frequency" if kind.endswith("freq") else "phase offset", _axis_label(kind.split("/")[1])
+    speed.set(title=f"Speed over {name}: model minus authors", xlabel=along, ylabel="speed difference (mm/s)")
+    wave.set(title=f"Within a cycle over {name}: RMS difference", xlabel=along, ylabel="RMS difference (mm)")
+    wave.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _in(result: Result, kind: str) -> bool:
@@ -226,48 +184,35 @@ def _in(result: Result, kind: str) -> bool:
 def _waves(validation: Validation) -> Section:
     by_rms = sorted(validation.simulations, key=lambda r: r.within_cycle_rms_m)
     picked = {"best": by_rms[0], "median": by_rms[len(by_rms) // 2], "worst": by_rms[-1]}
-    with style.styled():
-        figure, panels = _grid(3, 3.0)
+    with _panels(3, 3.0) as (figure, panels):
         for axes, (name, result) in zip(panels, picked.items(), strict=True):
             gait = result.case.gait
             cycles = result.time_s * gait.frequency_hz
-            axes.plot(cycles, 1e3 * result.reference_wave_m, "--", color=AUTHORS, label="authors' simulation")
+            axes.plot(cycles, 1e3 * result.reference_wave_m, "--", color=AUTHORS, label=AUTHORS_LABEL)
             axes.plot(cycles, 1e3 * result.model_wave_m, color=MODEL, label="model")
-            axes.set_title(
-                f"{name}: {gait.egain_percent:g} %, {gait.frequency_hz:g} Hz, phase {gait.phase:g}\n"
-                f"RMS {_mm(result.within_cycle_rms_m)} mm"
-            )
-            axes.set_xlabel("time (cycles)")
-            axes.set_ylabel("forward minus mean speed (mm)")
-        _legend_outside(figure, panels)
+            case = f"{gait.egain_percent:g} %, {gait.frequency_hz:g} Hz, phase {gait.phase:g}"
+            axes.set_title(f"{name}: {case}\nRMS {_mm(result.within_cycle_rms_m)} mm")
+            axes.set(xlabel="time (cycles)", ylabel="forward minus mean speed (mm)")
     caption = (
         f"Forward position over cycles {FIRST_CYCLE} to {CYCLES} without the mean speed of each: best, "
         "median and worst case."
     )
-    return Section("Within a cycle", images=[(figure_uri(figure), caption)])
+    return Section("Within a cycle", images=[(figure, caption)])
 
 
 def _experiments(validation: Validation, noise: Noise) -> Section:
+    swims = validation.experiments
     ours, authors = speed_rmse_mps(validation), authors_rmse_mps(validation)
-    rows = [
-        (
-            group,
-            str(sum(r.case.group == group or _in(r, group) for r in validation.experiments)),
-            _mm(ours[group]),
-            _mm(authors.get(group)),
-            _mm(noise.neighbours.get(group)),
-            _mm(noise.within_swim.get(group)),
-        )
-        for group in ours
-        if group.startswith(EXPERIMENTS)
-    ]
-    header = (
-        "group",
-        "swims",
-        "model RMSE, mm/s",
-        "authors' RMSE, mm/s",
-        "noise floor (neighbours), mm/s",
-        "within a swim, mm/s",
+    table = Table.of(
+        [group for group in ours if group.startswith(EXPERIMENTS)],
+        {
+            "group": lambda group: group,
+            "swims": lambda group: sum(r.case.group == group or _in(r, group) for r in swims),
+            "model RMSE, mm/s": lambda group: _mm(ours[group]),
+            "authors' RMSE, mm/s": lambda group: _mm(authors.get(group)),
+            "noise floor (neighbours), mm/s": lambda group: _mm(noise.neighbours.get(group)),
+            "within a swim, mm/s": lambda group: _mm(noise.within_swim.get(group)),
+        },
     )
     repeats = (
         f"Swims of a gait that was measured again ({noise.repeated}) differ by {_mm(noise.repeats)} mm/s."
@@ -284,84 +229,44 @@ def _experiments(validation: Validation, noise: Noise) -> Section:
     caption = (
         "Simulated over measured speed. They agree on the diagonal; the band around it is one noise floor."
     )
-    return Section(
-        "Against measurement",
-        text,
-        Table(header, rows),
-        [(figure_uri(_scatter(validation, noise)), caption)],
-    )
+    return Section("Against measurement", text, table, [(_scatter(swims, noise), caption)])
 
 
-def _scatter(validation: Validation, noise: Noise) -> Figure:
+def _scatter(swims: Sequence[ExperimentResult], noise: Noise) -> Figure:
     with style.new_figure(6.2, 5.4) as figure:
         axes = figure.subplots()
-        measured = np.array([1e3 * r.reference.speed_mps for r in validation.experiments])
-        top = 1.1 * max(measured.max(), max(1e3 * r.model_mps for r in validation.experiments))
-        line = np.array([0.0, top])
-        floor = 1e3 * noise.neighbours.get(EXPERIMENTS, 0.0)
-        axes.fill_between(
-            line, line - floor, line + floor, color=style.MEASURED, alpha=0.2, label="noise floor"
-        )
-        axes.plot(line, line, color=style.MEASURED, linewidth=1.0, label="measured")
-        theirs = [(r.reference.speed_mps, r.authors_mps) for r in validation.experiments if r.authors_mps]
+        measured = np.array([1e3 * r.reference.speed_mps for r in swims])
+        model = [1e3 * r.model_mps for r in swims]
+        top = 1.1 * max(measured.max(), max(model))
+        line, floor = np.array([0.0, top]), 1e3 * noise.neighbours.get(EXPERIMENTS, 0.0)
+        look = style.look(color=style.MEASURED)
+        axes.fill_between(line, line - floor, line + floor, alpha=0.2, label="noise floor", **look)
+        axes.plot(line, line, linewidth=1.0, label="measured", **look)
+        theirs = [(r.reference.speed_mps, r.authors_mps) for r in swims if r.authors_mps]
         if theirs:
-            axes.plot(
-                *(1e3 * np.array(theirs).T), "s", color=AUTHORS, markersize=5, label="authors' simulation"
-            )
-        axes.plot(
-            measured,
-            [1e3 * r.model_mps for r in validation.experiments],
-            "o",
-            color=MODEL,
-            markersize=4,
-            label="model",
-        )
-        axes.set_xlim(0.0, top)
-        axes.set_ylim(0.0, top)
-        axes.set_aspect("equal")
-        axes.set_xlabel("measured speed (mm/s)")
-        axes.set_ylabel("simulated speed (mm/s)")
-        axes.set_title("Measured swims")
+            axes.plot(*(1e3 * np.array(theirs).T), "s", color=AUTHORS, markersize=5, label=AUTHORS_LABEL)
+        axes.plot(measured, model, "o", color=MODEL, markersize=4, label="model")
+        axes.set(xlim=(0.0, top), ylim=(0.0, top), aspect="equal", title="Measured swims")
+        axes.set(xlabel="measured speed (mm/s)", ylabel="simulated speed (mm/s)")
         axes.legend(loc="upper left")
     return figure
 
 
 def _cases(validation: Validation) -> Section:
-    rows = [
-        (
-            r.case.name,
-            _mm(r.reference_mps),
-            _mm(r.model_mps),
-            f"{1e3 * r.error_mps:+.2f}",
-            _mm(r.within_cycle_rms_m),
-            r.profile,
-        )
-        for r in validation.simulations
-    ]
-    rows += [
-        (
-            e.case.name,
-            _mm(e.reference.speed_mps),
-            _mm(e.model_mps),
-            f"{1e3 * e.error_mps:+.2f}",
-            "-",
-            e.profile,
-        )
-        for e in validation.experiments
-    ]
-    header = (
-        "case",
-        "reference, mm/s",
-        "model, mm/s",
-        "difference, mm/s",
-        "within a cycle, mm",
-        "limb profile",
+    every: Sequence[Result] = (*validation.simulations, *validation.experiments)
+    table = Table.of(
+        every,
+        {
+            "case": lambda r: r.case.name,
+            "reference, mm/s": lambda r: _mm(
+                r.reference_mps if isinstance(r, SimulationResult) else r.reference.speed_mps
+            ),
+            "model, mm/s": lambda r: _mm(r.model_mps),
+            "difference, mm/s": lambda r: f"{1e3 * r.error_mps:+.2f}",
+            "within a cycle, mm": lambda r: (
+                _mm(r.within_cycle_rms_m) if isinstance(r, SimulationResult) else "-"
+            ),
+            "limb profile": lambda r: r.profile,
+        },
     )
-    return Section("Every case", table=Table(header, rows))
-
-
-def _skipped(validation: Validation) -> Section:
-    rows = [(skipped.case, skipped.reason) for skipped in validation.skipped]
-    if not rows:
-        return Section("Left out", ("No case was left out.",))
-    return Section("Left out", table=Table(("case", "reason"), rows))
+    return Section("Every case", table=table)

@@ -1,12 +1,22 @@
-"""Laws in words: a sentence, the formula with its numbers, and what runs must contain to show the law."""
+"""Laws in a report: in words, as a formula, as a picture, and what runs must contain to show them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 
+import numpy as np
+from matplotlib.figure import Figure
+
+from frogkick.core.errors import InputError
 from frogkick.effects import Law
 from frogkick.effects.law import CHANNELS
+from frogkick.identification.outcome import Outcome
+from frogkick.report.law_figures import Periods, depends_on, law_figure, periods_of
+from frogkick.report.page import Section
+
+ACTS = 0.1
+"""A law acts in a period if it is more than this share of its largest value."""
 
 _PLACE = "({at_x:.2f}, {at_y:.2f}) m"
 _EVERY = "every {cycle:.2f} s, for {share:.0%} of that time"
@@ -97,9 +107,8 @@ def sentence_of(law: Law) -> str:
     try:
         sentence = SENTENCES[law.title].format(**values)
     except KeyError:  # a user's law, under any title
-        others = sorted(
-            name.removeprefix("since_").removesuffix("_s") for name in law.names if _is_since(name)
-        )
+        since = sorted(name for name in law.names if name.startswith("since_") and name != "since_s")
+        others = [name.removeprefix("since_").removesuffix("_s") for name in since]
         on = {ON_WHAT[name] for name in law.names if name in ON_WHAT}
         if others:
             on.add(f"how long ago {' and '.join(others)} fired")
@@ -118,24 +127,70 @@ def formula_of(law: Law) -> list[str]:
     return lines
 
 
-def depends_on(law: Law) -> str:
-    """Return a key of NEEDS: what a law mainly depends on."""
-    if "chance" in law.names:
-        return "chance"
-    if law.names & {"x_m", "y_m"}:
-        return "place"
-    if "time_s" in law.names:
-        return "time in cycles" if "cycle" in law.names else "time"
-    if "heading_rad" in law.names:
-        return "heading"
-    if law.names & {"forward_mps", "left_mps", "turn_radps"}:
-        return "speed"
-    if "strokes" in law.names:
-        return "time"
-    if "since_s" in law.names:
-        return "rest"
-    return "limbs" if law.on == "stroke" else "heading"
+def laws_of(outcome: Outcome) -> list[tuple[str, Law]]:
+    """Return the laws among the effects found, with their titles."""
+    effects = [(term.title, term.effect()) for term in outcome.terms]
+    return [(title, effect) for title, effect in effects if isinstance(effect, Law)]
 
 
-def _is_since(name: str) -> bool:
-    return name.startswith("since_") and name != "since_s"
+def figure_of_law(outcome: Outcome, law: int) -> Figure:
+    """Return the picture of one of the laws found.
+
+    Raises:
+        InputError: there is no law of that number.
+    """
+    laws = laws_of(outcome)
+    if not 0 <= law < len(laws):
+        raise InputError(f"law {law}: {len(laws)} were found, counted from 0")
+    return law_figure(outcome, laws[law][1], periods_of(outcome))
+
+
+def law_section(outcome: Outcome) -> Section:
+    """Return the section; there must be a law."""
+    periods = periods_of(outcome)
+    text, images = [], []
+    for title, law in laws_of(outcome):
+        formulas = "; ".join(formula_of(law))
+        text.append(f"{title}: {sentence_of(law)} As a formula: {formulas}.")
+        text.append(
+            f"To show a law like this, runs must contain {NEEDS[depends_on(law)]}.{_contained(law, periods)}"
+        )
+        caption = (
+            f"{title}. Left: the law. Right: the residual of each period of all runs, by the nominal model "
+            "one period ahead, and the part of it that the identified effects explain."
+        )
+        images.append((law_figure(outcome, law, periods), caption))
+    if outcome.law_test is not None:
+        text.append(
+            f"An experiment to confirm or refute a law: {outcome.law_test.text}. If the model predicts the "
+            "new run as well as the noise of its fixes allows, the law is confirmed. If the model without "
+            "the law predicts it better, the law is refuted."
+        )
+    return Section("Laws: effects that are formulas", text, images=images)
+
+
+def _contained(law: Law, periods: Periods) -> str:
+    """Return how much these runs contain of what shows a law, if that can be counted."""
+    x, y, heading = periods.pose.T
+    forward, left, turn = periods.velocity.T
+    own = {p.name for p in law.parameters}
+    if "cycle" in own:
+        return f" The longest of these runs contains {periods.at_s.max() / law.value('cycle'):.1f} cycles."
+    if "at" in own:
+        later = int((periods.at_s > law.value("at")).sum())
+        earlier = len(periods.at_s) - later
+        return f" These runs contain {earlier} periods before that moment and {later} after it."
+    if law.on == "stroke" or law.by_chance:
+        return ""
+    given = law.over(
+        {
+            "time_s": periods.at_s, "x_m": x, "y_m": y, "heading_rad": heading, "forward_mps": forward,
+            "left_mps": left, "turn_radps": turn,
+        }
+    )  # fmt: skip
+    size = np.sqrt(sum(np.broadcast_to(values, x.shape) ** 2 for values in given.values()))
+    acting = int((size > ACTS * size.max()).sum())
+    return (
+        f" In {acting} of the {len(x)} periods of these runs, the law is more than a tenth of its largest "
+        "value in them."
+    )

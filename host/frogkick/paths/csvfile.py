@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.paths.path import POINTS_MAX, Path
@@ -55,7 +56,7 @@ def from_csv(file: pathlib.Path | str, tell: Callable[[str], None] = lambda _lin
     return path
 
 
-def _read(file: pathlib.Path | str) -> tuple[Path, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+def _read(file: pathlib.Path | str) -> tuple[Path, Float64]:
     """The path, and the points (n, 2) of the file."""
     source = existing_file(file, "path file")
     name = source.name
@@ -80,10 +81,8 @@ def _read(file: pathlib.Path | str) -> tuple[Path, np.ndarray[tuple[int, int], n
         rows = rows[1:]
     values = _numbers(rows, columns, name)
     points = np.column_stack([values["x"], values["y"]])
-    stem = source.stem
-    has_tangent = "tangent_rad" in values or "dx" in values
-    if not has_tangent or len(points) > POINTS_MAX:
-        return from_waypoints(points, smooth=False, name=stem), points
+    if not {"tangent_rad", "dx"} & values.keys() or len(points) > POINTS_MAX:
+        return from_waypoints(points, smooth=False, name=source.stem), points
     if "dx" in values:
         still = np.flatnonzero((values["dx"] == 0.0) & (values["dy"] == 0.0))
         if still.size:
@@ -93,7 +92,7 @@ def _read(file: pathlib.Path | str) -> tuple[Path, np.ndarray[tuple[int, int], n
         tangent = np.arctan2(values["dy"], values["dx"])
     else:
         tangent = values["tangent_rad"]
-    return Path.from_arrays(points[:, 0], points[:, 1], tangent, stem), points
+    return Path.from_arrays(points[:, 0], points[:, 1], tangent, source.stem), points
 
 
 def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
@@ -127,9 +126,7 @@ def _header(cells: list[str], name: str) -> list[str] | None:
     return columns
 
 
-def _numbers(
-    rows: list[tuple[int, list[str]]], columns: list[str], name: str
-) -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+def _numbers(rows: list[tuple[int, list[str]]], columns: list[str], name: str) -> dict[str, Float64]:
     values = np.empty((len(rows), len(columns)))
     for index, (number, row) in enumerate(rows):
         if len(row) != len(columns):

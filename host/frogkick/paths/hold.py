@@ -11,12 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.paths.path import POINTS_MAX, Path
-
-Float64 = NDArray[np.float64]
 
 LAP_POINTS = 24
 """Points of a lap: the polygon's sides lie within 0.9 % of the radius of the circle."""
@@ -94,13 +92,9 @@ def hold_at_end(path: Path, radius_m: float) -> Hold:
 
     name = f"hold at the end of {path.name}"
     whole = np.vstack([lead, arc, laps(SPIRAL_POINTS, POINTS_MAX - before)])
-    return Hold(
-        (float(end[0]), float(end[1])),
-        leave_m,
-        _path_of(whole, name),
-        before + SPIRAL_POINTS,
-        _path_of(laps(0, POINTS_MAX), name),
-    )
+    both = (whole, laps(0, POINTS_MAX))
+    entry, circle = (Path.from_arrays(rows[:, 0], rows[:, 1], rows[:, 2], name) for rows in both)
+    return Hold((float(end[0]), float(end[1])), leave_m, entry, before + SPIRAL_POINTS, circle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +109,8 @@ class _Course:
         """(n, 3) x, y, heading."""
         beyond_m = np.maximum(at_m - self.arcs_m[-1], 0.0)
         last = self.headings_rad[-1]
-        x, y, heading = (
-            np.interp(at_m, self.arcs_m, column)
-            for column in (self.rows[:, 0], self.rows[:, 1], self.headings_rad)
-        )
+        columns = (self.rows[:, 0], self.rows[:, 1], self.headings_rad)
+        x, y, heading = (np.interp(at_m, self.arcs_m, column) for column in columns)
         return np.column_stack([x + beyond_m * math.cos(last), y + beyond_m * math.sin(last), heading])
 
 
@@ -150,10 +142,6 @@ def _leave(course: _Course, end: Float64, arc_m: float, first_m: float) -> tuple
     nearest = max(found, key=lambda row: (row[0], row[1] if row[0] else -row[1], row[2]))
     _, leave_m, side, sweep_rad = nearest
     return course.at(np.array([leave_m]))[0], side, side * sweep_rad, leave_m
-
-
-def _path_of(poses: Float64, name: str) -> Path:
-    return Path.from_arrays(poses[:, 0], poses[:, 1], poses[:, 2], name)
 
 
 def _round(centre: Float64, radius_m: Float64, angle_rad: Float64, side: int) -> Float64:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import rotation, wrap_angle
 
@@ -17,15 +18,22 @@ POINTS_MAX = 100
 # The planner refuses a position beyond this (FK_ERROR_RANGE), so a path may not lead there.
 COORDINATE_MAX_M = 1000.0
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
+
+def require_points(name: str, count: int) -> None:
+    """Raise an error if a path has fewer than two points.
+
+    Raises:
+        InputError: it has.
+    """
+    if count == 0:
+        raise InputError(f"path {name!r} is empty (0 points): give at least 2 points")
+    if count == 1:
+        raise InputError(f"path {name!r} has 1 point: give at least 2 points")
 
 
-def tangent_float32(tangent_rad: ArrayLike) -> Float32:
-    """Wrap tangents and round them to float32; float32's -pi becomes +pi, as the range is (-pi, pi]."""
-    rounded = wrap_angle(tangent_rad).astype(np.float32)
-    rounded[rounded <= np.float32(-np.pi)] = np.float32(np.pi)
-    return rounded
+def no_length(name: str, count: int) -> InputError:
+    """Return the error for a path whose points coincide."""
+    return InputError(f"path {name!r} has no length (all {count} points coincide): give distinct points")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,35 +57,13 @@ class Path:
     name: str = "path"
 
     def __post_init__(self) -> None:
-        columns = {}
-        for column in ("x_m", "y_m", "tangent_rad"):
-            try:
-                values = np.array(getattr(self, column), dtype=np.float64)
-            except (TypeError, ValueError):
-                raise InputError(
-                    f"path {self.name!r}: {column} is not a row of numbers: give x_m, y_m, tangent_rad, name"
-                ) from None
-            if values.ndim != 1:
-                raise InputError(
-                    f"path {self.name!r}: {column} has {values.ndim} dimensions: give one row of numbers"
-                )
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                raise InputError(
-                    f"path {self.name!r}: {column} of point {bad[0]} is {values[bad[0]]}: "
-                    "every coordinate must be a finite number"
-                )
-            columns[column] = values
-        x, y, tangent = columns["x_m"], columns["y_m"], columns["tangent_rad"]
+        x, y, tangent = (self._column(name) for name in ("x_m", "y_m", "tangent_rad"))
         if not x.size == y.size == tangent.size:
             raise InputError(
                 f"path {self.name!r}: {x.size} x, {y.size} y and {tangent.size} tangents: "
                 "give one of each per point"
             )
-        if x.size == 0:
-            raise InputError(f"path {self.name!r} is empty (0 points): give at least 2 points")
-        if x.size == 1:
-            raise InputError(f"path {self.name!r} has 1 point: give at least 2 points")
+        require_points(self.name, x.size)
         if x.size > POINTS_MAX:
             raise InputError(
                 f"path {self.name!r} has {x.size} points, the limit is {POINTS_MAX}: "
@@ -89,17 +75,33 @@ class Path:
                 f"path {self.name!r}: point {far[0]} lies at ({x[far[0]]:g}, {y[far[0]]:g}) m, the limit is "
                 f"{COORDINATE_MAX_M:g} m: give metres, not millimetres"
             )
-        for column, stored in (
-            ("x_m", x.astype(np.float32)),
-            ("y_m", y.astype(np.float32)),
-            ("tangent_rad", tangent_float32(tangent)),
-        ):
+        rounded = wrap_angle(tangent).astype(np.float32)
+        rounded[rounded <= np.float32(-np.pi)] = np.float32(np.pi)  # the range is (-pi, pi]
+        columns = {"x_m": x.astype(np.float32), "y_m": y.astype(np.float32), "tangent_rad": rounded}
+        for column, stored in columns.items():
             stored.flags.writeable = False
             object.__setattr__(self, column, stored)
         if self.length_m == 0.0:
+            raise no_length(self.name, x.size)
+
+    def _column(self, column: str) -> Float64:
+        try:
+            values = np.array(getattr(self, column), dtype=np.float64)
+        except (TypeError, ValueError):
             raise InputError(
-                f"path {self.name!r} has no length (all {x.size} points coincide): give distinct points"
+                f"path {self.name!r}: {column} is not a row of numbers: give x_m, y_m, tangent_rad, name"
+            ) from None
+        if values.ndim != 1:
+            raise InputError(
+                f"path {self.name!r}: {column} has {values.ndim} dimensions: give one row of numbers"
             )
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(
+                f"path {self.name!r}: {column} of point {bad[0]} is {values[bad[0]]}: "
+                "every coordinate must be a finite number"
+            )
+        return values
 
     @classmethod
     def from_arrays(cls, x_m: ArrayLike, y_m: ArrayLike, tangent_rad: ArrayLike, name: str = "path") -> Path:
@@ -113,11 +115,8 @@ class Path:
         """Whether the points are equal bit for bit, whatever the names."""
         if not isinstance(other, Path):
             return NotImplemented
-        return (
-            np.array_equal(self.x_m, other.x_m)
-            and np.array_equal(self.y_m, other.y_m)
-            and np.array_equal(self.tangent_rad, other.tangent_rad)
-        )
+        columns = ("x_m", "y_m", "tangent_rad")
+        return all(np.array_equal(getattr(self, each), getattr(other, each)) for each in columns)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -151,9 +150,8 @@ class Path:
                 f"path {self.name!r} cannot be placed at {pose.tolist()}: give x m, y m, heading rad"
             )
         points = self.points_m @ rotation(pose[2]).T + pose[:2]
-        return Path.from_arrays(
-            points[:, 0], points[:, 1], self.tangent_rad.astype(np.float64) + pose[2], self.name
-        )
+        tangent = self.tangent_rad.astype(np.float64) + pose[2]
+        return Path.from_arrays(points[:, 0], points[:, 1], tangent, self.name)
 
     def distance_m(self, points_world_m: ArrayLike) -> Float64:
         """(k,) distances, m, of (k, 2) points in the world to the polyline's segments."""
@@ -168,7 +166,7 @@ class Path:
         distance: Float64 = np.sqrt((gap**2).sum(axis=2).min(axis=1))
         return distance
 
-    def nearest_index(self, points_world_m: ArrayLike) -> NDArray[np.int64]:
+    def nearest_index(self, points_world_m: ArrayLike) -> Int64:
         """(k,) index of the path point nearest to each of (k, 2) points, m, world; the lowest on ties.
 
         It is the index of the paper's cost in float64; the planner uses float32.

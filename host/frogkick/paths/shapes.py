@@ -12,6 +12,9 @@ What those files show:
   along, so the centre lies straight ahead and the first tangent is 90 degrees from the heading. Runs 1 and
   3 have semi-axes 0.168/0.084 and 0.174/0.087 m (2:1, long axis ahead, clockwise, first to the left); runs
   5 and 6 are circles of 0.121 and 0.136 m, counter-clockwise, first to the right.
+
+Each shape takes a ``length_m``, m, finite and above 0, and a number of ``points``, 2 to 100; others raise
+``InputError``.
 """
 
 from __future__ import annotations
@@ -19,13 +22,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import body_from_world
-from frogkick.paths.path import POINTS_MAX, Path
-
-Float64 = NDArray[np.float64]
+from frogkick.paths.path import POINTS_MAX, Path, no_length, require_points
 
 # Sizes near those of the recorded runs, which fit the authors' pool.
 LINE_LENGTH_M = 0.45
@@ -42,39 +44,30 @@ EIGHT_LENGTH_M = 0.6
 EIGHT_TURNS = 0.96
 
 
-def _check_length(length_m: float, name: str) -> float:
-    if not (np.isfinite(length_m) and length_m > 0.0):
-        raise InputError(f"{name}: length {length_m} m: give a finite length above 0 m")
-    return float(length_m)
-
-
 def _check_points(points: int, name: str) -> int:
     if not 2 <= points <= POINTS_MAX:
         raise InputError(f"{name}: {points} points: give 2 to {POINTS_MAX}")
     return points
 
 
-def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """A straight line from the origin along +x.
+def _checked(name: str, length_m: float, points: int) -> tuple[float, Float64]:
+    """Return the length, and the parameter s of the points, from 0 to 1."""
+    s = np.linspace(0.0, 1.0, _check_points(points, name))
+    if not (np.isfinite(length_m) and length_m > 0.0):
+        raise InputError(f"{name}: length {length_m} m: give a finite length above 0 m")
+    return float(length_m), s
 
-    Args:
-        length_m: its length, m, above 0.
-        points: number of points, 2 to 100.
-    """
-    s = np.linspace(0.0, 1.0, _check_points(points, "line"))
-    x = _check_length(length_m, "line") * s
+
+def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
+    """A straight line of this length from the origin along +x."""
+    length, s = _checked("line", length_m, points)
+    x = length * s
     return Path.from_arrays(x, np.zeros_like(x), np.zeros_like(x), "line")
 
 
 def sine(length_m: float = SINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """The paper's sine: x = 0.85 l s, y = l/10 sin(10 s), s from 0 to 1.
-
-    Args:
-        length_m: l, m, above 0 (the extent along x is 0.85 l).
-        points: number of points, 2 to 100.
-    """
-    s = np.linspace(0.0, 1.0, _check_points(points, "sine"))
-    length = _check_length(length_m, "sine")
+    """The paper's sine of length l: x = 0.85 l s, y = l/10 sin(10 s), s from 0 to 1."""
+    length, s = _checked("sine", length_m, points)
     extent, amplitude = SINE_EXTENT_PER_LENGTH * length, SINE_AMPLITUDE_PER_LENGTH * length
     y = amplitude * np.sin(SINE_ANGLE_RAD * s)
     slope = amplitude * SINE_ANGLE_RAD * np.cos(SINE_ANGLE_RAD * s)
@@ -97,12 +90,12 @@ def ellipse(
         clockwise: travel clockwise, so that the first tangent points to +y (left); else to -y.
         points: number of points, 2 to 100.
     """
-    a = 0.5 * _check_length(length_m, "ellipse")
+    length, s = _checked("ellipse", length_m, points)
     if not (np.isfinite(aspect) and aspect > 0.0):
         raise InputError(f"ellipse: aspect {aspect}: give a finite ratio above 0")
     if not 0.0 < turns <= 1.0:
         raise InputError(f"ellipse: {turns} turns: give a part of one turn, above 0 to 1")
-    angle = 2.0 * np.pi * turns * np.linspace(0.0, 1.0, _check_points(points, "ellipse"))
+    angle, a = 2.0 * np.pi * turns * s, 0.5 * length
     b = a / aspect * (1.0 if clockwise else -1.0)
     tangent = np.arctan2(b * np.cos(angle), a * np.sin(angle))
     name = "circle" if aspect == 1.0 else "ellipse"
@@ -110,25 +103,15 @@ def ellipse(
 
 
 def circle(length_m: float = CIRCLE_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """The paper's circle, an ellipse of aspect 1.
-
-    Args:
-        length_m: its diameter, m, above 0.
-        points: number of points, 2 to 100.
-    """
+    """The paper's circle of this diameter, an ellipse of aspect 1."""
     return ellipse(length_m, aspect=1.0, points=points)
 
 
 def bends(length_m: float = BENDS_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """An S: an arc of 135 degrees to the left, and one of 135 degrees to the right.
-
-    Args:
-        length_m: radius of both, m, above 0.
-        points: number of points, 2 to 100.
-    """
-    radius_m = _check_length(length_m, "bends")
+    """An S: arcs of this radius, 135 degrees to the left and 135 degrees to the right."""
+    radius_m, s = _checked("bends", length_m, points)
     turn = 0.75 * np.pi
-    angle = turn * np.linspace(0.0, 2.0, _check_points(points, "bends"))
+    angle = turn * np.linspace(0.0, 2.0, len(s))
     tangent = np.where(angle <= turn, angle, 2.0 * turn - angle)
     # Centre of the first arc to the left of the start, of the second one to the right of where it begins.
     along, beside = np.sin(tangent), 1.0 - np.cos(tangent)
@@ -138,14 +121,10 @@ def bends(length_m: float = BENDS_LENGTH_M, points: int = POINTS_MAX) -> Path:
 
 
 def eight(length_m: float = EIGHT_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """A figure eight that crosses itself where it begins: Gerono's lemniscate, 96 % of it.
-
-    Args:
-        length_m: its length along the axis of its loops, m, above 0.
-        points: number of points, 2 to 100.
-    """
-    half_m = 0.5 * _check_length(length_m, "eight")
-    angle = 2.0 * np.pi * EIGHT_TURNS * np.linspace(0.0, 1.0, _check_points(points, "eight"))
+    """A figure eight, this long along its loops, that crosses itself where it begins: 96 % of Gerono's
+    lemniscate."""
+    length, s = _checked("eight", length_m, points)
+    half_m, angle = 0.5 * length, 2.0 * np.pi * EIGHT_TURNS * s
     x, y = half_m * np.sin(angle), half_m * np.sin(angle) * np.cos(angle)
     tangent = np.arctan2(half_m * np.cos(2.0 * angle), half_m * np.cos(angle))
     turned = body_from_world(tangent[0], np.stack([x, y, tangent], axis=-1))  # so that it begins along +x
@@ -193,7 +172,7 @@ def from_waypoints(
             f"path {name!r}: waypoints are not numbers: give (k, 2), x and y in metres"
         ) from None
     if given.size == 0:
-        raise InputError(f"path {name!r} is empty (0 points): give at least 2 points")
+        require_points(name, 0)
     if given.ndim != 2 or given.shape[1] != 2:
         raise InputError(f"path {name!r}: waypoints have shape {given.shape}: give (k, 2), x and y in metres")
     bad = np.argwhere(~np.isfinite(given))
@@ -203,24 +182,22 @@ def from_waypoints(
             f"path {name!r}: {'xy'[column]} of point {row} is {given[row, column]}: "
             "every coordinate must be a finite number"
         )
-    if len(given) == 1:
-        raise InputError(f"path {name!r} has 1 point: give at least 2 points")
+    require_points(name, len(given))
     distinct = np.concatenate([[True], (np.diff(given, axis=0) != 0.0).any(axis=1)])
     knots = given[distinct]
     if len(knots) < 2:
-        raise InputError(
-            f"path {name!r} has no length (all {len(given)} points coincide): give distinct points"
-        )
+        raise no_length(name, len(given))
     dense = _spline(knots) if smooth and len(knots) > 2 else knots
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dense, axis=0).T))])
     target = np.linspace(0.0, along[-1], count)
-    x = np.interp(target, along, dense[:, 0])
-    y = np.interp(target, along, dense[:, 1])
+
+    def at(places_m: Float64) -> Float64:
+        return np.array([np.interp(places_m, along, column) for column in dense.T])
+
     # The tangent at a point is that of the chord over half a spacing to each side: defined at corners too.
     half = 0.5 * along[-1] / (count - 1)
-    ahead, behind = np.minimum(target + half, along[-1]), np.maximum(target - half, 0.0)
-    dx = np.interp(ahead, along, dense[:, 0]) - np.interp(behind, along, dense[:, 0])
-    dy = np.interp(ahead, along, dense[:, 1]) - np.interp(behind, along, dense[:, 1])
+    dx, dy = at(np.minimum(target + half, along[-1])) - at(np.maximum(target - half, 0.0))
+    x, y = at(target)
     return Path.from_arrays(x, y, np.arctan2(dy, dx), name)
 
 

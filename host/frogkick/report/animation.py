@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from frogkick.core.arrays import Float64, Int64, UInt8
+from frogkick.core.arrays import Float32, Float64, Int64, UInt8
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import atomic_path
 from frogkick.core.poses import world_from_body
@@ -32,9 +32,8 @@ WIDTH_PX = 720
 HEIGHT_MIN_PX, HEIGHT_MAX_PX = 240, 720
 _DPI = 100
 _INKS = ("#000000", style.DESIRED, style.TRUE, style.ALARM, style.ESTIMATED)
-_SHADES = (
-    12  # of each ink on white, for smooth edges: 61 colours, the same for all pictures, so nothing flickers
-)
+_SHADES = 12
+"""Of each ink on white, for smooth edges: 61 colours, the same for all pictures, so that nothing flickers."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Swim:
     velocity_body: tuple[float, float, float]
     title: str
     track: tuple[Float64, Float64] | None = None
-    path_m: Float64 | None = None
+    path_m: Float32 | None = None
 
 
 @dataclass(frozen=True)
@@ -85,13 +84,9 @@ def gait_swim(robot: Robot, egain_percent: float, frequency_hz: float, phase: fl
     period_s = 1.0 / frequency_hz
     lead = [(cycle * period_s, robot.gait_lead_mask) for cycle in range(cycles)]
     lag = [((cycle + phase) * period_s, robot.gait_lag_mask) for cycle in range(cycles)]
-    return Swim(
-        prepare(robot, egain_percent, frequency_hz),
-        tuple(sorted(lead + lag)),
-        cycles * period_s,
-        (0.0, 0.0, 0.0),
-        f"{robot.id}: {egain_percent:g} % EGaIn, {frequency_hz:g} Hz, phase {phase:g}",
-    )
+    rods, pulses = prepare(robot, egain_percent, frequency_hz), tuple(sorted(lead + lag))
+    title = f"{robot.id}: {egain_percent:g} % EGaIn, {frequency_hz:g} Hz, phase {phase:g}"
+    return Swim(rods, pulses, cycles * period_s, (0.0, 0.0, 0.0), title)
 
 
 def actions_swim(
@@ -105,13 +100,8 @@ def actions_swim(
     ]
     names = in_a_row([action.name for action in actions])
     shown = names if len(names) <= 40 else names[:37] + "..."
-    return Swim(
-        prepare(robot),
-        tuple(sorted(pulses)),
-        len(actions) * robot.period_s,
-        velocity_body,
-        f"{robot.id}: actions {shown}",
-    )
+    duration_s, title = len(actions) * robot.period_s, f"{robot.id}: actions {shown}"
+    return Swim(prepare(robot), tuple(sorted(pulses)), duration_s, velocity_body, title)
 
 
 def run_swim(log: RunLog) -> Swim:
@@ -130,17 +120,12 @@ def run_swim(log: RunLog) -> Swim:
     begin_s = float(log.fixes.capture_time_s[seen][0])
     time_s = log.fixes.capture_time_s[seen] - begin_s
     x_m, y_m, heading_rad = log.fixes.x_m[seen], log.fixes.y_m[seen], np.unwrap(log.fixes.heading_rad[seen])
-    pulses = zip(log.strokes.time_s - begin_s, log.strokes.limb_mask, strict=True)
-    path = log.path
-    return Swim(
-        prepare(robot),
-        tuple((float(start_s), int(mask)) for start_s, mask in pulses if start_s >= 0.0),
-        float(time_s[-1]),
-        (0.0, 0.0, 0.0),
-        robot.id if path is None else f"{robot.id} along {path.name}",
-        (time_s, np.column_stack([x_m, y_m, heading_rad])),
-        None if path is None else np.column_stack([path.x_m, path.y_m]),
-    )
+    track = (time_s, np.column_stack([x_m, y_m, heading_rad]))
+    fired = zip(log.strokes.time_s - begin_s, log.strokes.limb_mask, strict=True)
+    pulses = tuple((float(start_s), int(mask)) for start_s, mask in fired if start_s >= 0.0)
+    title = robot.id if log.path is None else f"{robot.id} along {log.path.name}"
+    path_m = None if log.path is None else np.column_stack([log.path.x_m, log.path.y_m])
+    return Swim(prepare(robot), pulses, float(time_s[-1]), (0.0, 0.0, 0.0), title, track, path_m)
 
 
 def film(swim: Swim) -> Film:
@@ -160,7 +145,9 @@ def film(swim: Swim) -> Film:
     for now_s in time_s:
         swimmer.advance(float(now_s))
         pose = swimmer.pose_world()
-        moved = pose if swim.track is None else _pose_at(swim.track, float(now_s))
+        moved = pose
+        if swim.track is not None:
+            moved = np.array([np.interp(now_s, swim.track[0], column) for column in swim.track[1].T])
         nodes.append(moved[:2] + world_from_body(moved[2] - pose[2], swimmer.nodes_world() - pose[:2]))
         poses.append(moved)
         on = 0
@@ -170,10 +157,6 @@ def film(swim: Swim) -> Film:
                 on |= mask
         heated.append(on)
     return Film(np.asarray(time_s), np.array(nodes), np.array(poses), np.array(heated), spacing_s * RATE_HZ)
-
-
-def _pose_at(track: tuple[Float64, Float64], now_s: float) -> Float64:
-    return np.array([np.interp(now_s, track[0], track[1][:, axis]) for axis in range(3)])
 
 
 def require_animation_name(target: Path) -> None:

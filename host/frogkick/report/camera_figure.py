@@ -25,32 +25,19 @@ def write_error_map(pool_m: tuple[float, float], places: Float64, title: str, ta
     lost = places[~np.isfinite(places[:, 2])]
     with style.new_figure(8.0, 1.4 + 6.6 * pool_m[1] / pool_m[0]) as figure:
         axes = figure.subplots()
-        axes.plot(
-            1e3 * pool_m[0] * np.array([0, 1, 1, 0, 0]),
-            1e3 * pool_m[1] * np.array([0, 0, 1, 1, 0]),
-            color=style.DESIRED,
-            lw=2.0,
-        )
+        corners_mm = 1e3 * np.array(pool_m) * [[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
+        axes.plot(*corners_mm.T, color=style.DESIRED, lw=2.0)
         if len(found):
             length = np.hypot(found[:, 2], found[:, 3])
+            longest = float(length.max())
             # The longest arrow is a tenth of the pool; the key says what that is in mm.
-            scale = max(float(length.max()), 1e-6) / (0.1 * 1e3 * pool_m[0])
-            arrows = axes.quiver(
-                *(1e3 * found[:, :2].T), *found[:, 2:].T, length,
-                angles="xy", scale_units="xy", scale=scale, cmap="viridis", width=0.004,
-                clim=(0, length.max()),
-            )  # fmt: skip
+            scale = max(longest, 1e-6) / (0.1 * 1e3 * pool_m[0])
+            look = {**style.TO_SCALE, "scale": scale, "cmap": "viridis", "width": 0.004, "clim": (0, longest)}
+            arrows = axes.quiver(*(1e3 * found[:, :2].T), *found[:, 2:].T, length, **look)
             axes.plot(*(1e3 * found[:, :2].T), ".", color=style.TRUE, ms=3)
             figure.colorbar(arrows, ax=axes, label="error (mm)", shrink=0.85)
-            axes.quiverkey(
-                arrows,
-                0.88,
-                1.04,
-                float(length.max()),
-                f"{length.max():.3f} mm",
-                labelpos="E",
-                fontproperties={"size": 8},
-            )
+            key = style.look(labelpos="E", fontproperties={"size": 8})
+            axes.quiverkey(arrows, 0.88, 1.04, longest, f"{longest:.3f} mm", **key)
         if len(lost):
             axes.plot(*(1e3 * lost[:, :2].T), "x", color=style.ALARM, ms=8, mew=2, label="not found")
             axes.legend(loc="lower right")
@@ -92,16 +79,10 @@ def tag_figure(cells: Float32, margin: int, size_m: float, name: str) -> Figure:
         axes.axis("off")
         left, middle = 0.5 * (width - whole), 0.5 * width
         edges = (left, left + whole, BELOW_MM, BELOW_MM + whole)
-        axes.imshow(
-            cells, cmap="gray", vmin=0.0, vmax=1.0, extent=edges, interpolation="nearest", aspect="auto"
-        )
+        look = style.look(cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest", aspect="auto")
+        axes.imshow(cells, extent=edges, **look)
         top = BELOW_MM + whole
-        axes.annotate(
-            "",
-            (middle, top + 12.0),
-            (middle, top + 2.0),
-            arrowprops={"arrowstyle": "-|>", "color": "black", "lw": 2},
-        )
+        style.arrow(axes, (middle, top + 2.0), (middle, top + 12.0), color="black", lw=2)
         axes.text(middle, top + 14.0, "forward on the robot", ha="center", va="bottom", fontsize=9)
         ruler = middle - 0.5 * RULER_MM
         axes.plot([ruler, ruler + RULER_MM], [16.0, 16.0], color="black", lw=1.0, solid_capstyle="butt")

@@ -49,12 +49,7 @@ def write_frames_figure(target: Path) -> None:
 
 
 def _arrow(axes: Axes, start: np.ndarray, end: np.ndarray, colour: str) -> None:
-    axes.annotate(
-        "",
-        (end[0], end[1]),
-        (start[0], start[1]),
-        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.0, "shrinkA": 0},
-    )
+    style.arrow(axes, start, end, color=colour, linewidth=2.0, shrinkA=0)
 
 
 def _text(axes: Axes, point: np.ndarray, words: str, **look: Any) -> None:
@@ -63,19 +58,11 @@ def _text(axes: Axes, point: np.ndarray, words: str, **look: Any) -> None:
 
 def _above(axes: Axes) -> None:
     length, width = POOL_M
-    axes.add_patch(
-        Rectangle((0, 0), length, width, facecolor="#eaf4fb", edgecolor=style.FLOOR, linewidth=1.5)
-    )
-    for point, text in (
-        ((0, 0), "(0, 0)"),
-        ((length, 0), "(L, 0)"),
-        (POOL_M, "(L, W)"),
-        ((0, width), "(0, W)"),
-    ):
-        low = point[1] == 0
-        axes.annotate(
-            text, point, (0, -12 if low else 6), textcoords="offset points", ha="center", color="#555555"
-        )
+    water = style.look(facecolor="#eaf4fb", edgecolor=style.FLOOR, linewidth=1.5)
+    axes.add_patch(Rectangle((0, 0), length, width, **water))
+    for x, y, text in ((0, 0, "(0, 0)"), (length, 0, "(L, 0)"), (*POOL_M, "(L, W)"), (0, width, "(0, W)")):
+        look = style.look(textcoords="offset points", ha="center", color="#555555")
+        axes.annotate(text, (x, y), (0, -12 if y == 0 else 6), **look)
     _arrow(axes, np.zeros(2), np.array([0.28, 0.0]), style.TRUE)
     _arrow(axes, np.zeros(2), np.array([0.0, 0.28]), style.TRUE)
     axes.text(0.29, 0.02, "x, along the length", color=style.TRUE)
@@ -97,28 +84,21 @@ def _robot(axes: Axes) -> None:
         return np.asarray(np.array([x, y]) + rotation(heading) @ np.array([forward_m, left_m]))
 
     half = SIDE_M / 2
-    axes.add_patch(
-        Polygon([place(half * a, half * b) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))], closed=True,
-                facecolor="white", edgecolor=style.FLOOR, linewidth=2.0)
-    )  # fmt: skip
-    for name, a, b in (
-        ("front_left", 1, 1),
-        ("front_right", 1, -1),
-        ("rear_left", -1, 1),
-        ("rear_right", -1, -1),
-    ):
-        tip = LIMB_M / math.sqrt(2)
+    around = ((1, 1), (1, -1), (-1, -1), (-1, 1))
+    outline = [place(half * a, half * b) for a, b in around]
+    axes.add_patch(Polygon(outline, closed=True, facecolor="white", edgecolor=style.FLOOR, linewidth=2.0))
+    tip, names = LIMB_M / math.sqrt(2), ("front_left", "front_right", "rear_left", "rear_right")
+    for name, (a, b) in zip(names, ((1, 1), (1, -1), (-1, 1), (-1, -1)), strict=True):
         ends = np.array([place(half * a, half * b), place(half * a - tip, half * b + tip * b)])
         axes.plot(*ends.T, color=style.ALARM, linewidth=3.0, solid_capstyle="round")
         beside = place(half * a - (0.1 if a > 0 else 1.2) * tip, half * b + (1.5 if b > 0 else 1.8) * tip * b)
         _text(axes, beside, name, color=style.ALARM, ha="center", va="center", fontsize=8)
     tag = TAG_M / 2
-    square = [place(tag * a, tag * b) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    square = [place(tag * a, tag * b) for a, b in around]
     axes.add_patch(Polygon(square, closed=True, color="#333333"))
-    _text(axes, place(0.0, 0.0), "TAG", color="white", ha="center", va="center",
-              rotation=math.degrees(heading) - 90.0, fontweight="bold")  # fmt: skip
-    _text(axes, place(0.6 * half, 0.0), "top", color="#333333", ha="center", va="bottom", fontsize=8,
-              rotation=math.degrees(heading) - 90.0)  # fmt: skip
+    look = style.look(ha="center", rotation=math.degrees(heading) - 90.0)
+    _text(axes, place(0.0, 0.0), "TAG", color="white", va="center", fontweight="bold", **look)
+    _text(axes, place(0.6 * half, 0.0), "top", color="#333333", va="bottom", fontsize=8, **look)
     _arrow(axes, place(half, 0.0), place(half + 0.2, 0.0), style.ESTIMATED)
     _arrow(axes, place(0.0, half), place(0.0, half + 0.17), style.ESTIMATED)
     _text(axes, place(half + 0.22, 0.0), "x, forward", color=style.ESTIMATED, va="center")
@@ -127,8 +107,8 @@ def _robot(axes: Axes) -> None:
         x + 0.14, y - 0.235, "robot frame (body): origin\nin the middle of its frame", color=style.ESTIMATED
     )
     axes.plot([x, x + 0.5], [y, y], ":", color=style.PREDICTED, linewidth=1.2)
-    axes.add_patch(Arc((x, y), 0.66, 0.66, theta1=0.0, theta2=math.degrees(heading), color=style.PREDICTED,
-                       linewidth=2.0))  # fmt: skip
+    turn = style.look(theta1=0.0, theta2=math.degrees(heading), color=style.PREDICTED, linewidth=2.0)
+    axes.add_patch(Arc((x, y), 0.66, 0.66, **turn))
     middle = np.array([x, y]) + 0.35 * np.array([math.cos(0.42 * heading), math.sin(0.42 * heading)])
     _text(axes, middle, "heading: from +x,\ncounter-clockwise", color=style.PREDICTED, va="center")
 
@@ -155,10 +135,8 @@ def _beside(axes: Axes) -> None:
 
 def _units(axes: Axes) -> None:
     axes.axis("off")
-    rows = [list(row) for row in UNITS]
+    look = style.look(cellLoc="left", loc="center", colWidths=[0.18, 0.22, 0.6], edges="horizontal")
     heads = ["what", "unit inside and in files", "in a name"]
-    table = axes.table(
-        rows, colLabels=heads, cellLoc="left", loc="center", colWidths=[0.18, 0.22, 0.6], edges="horizontal"
-    )
+    table = axes.table([list(row) for row in UNITS], colLabels=heads, **look)
     table.auto_set_font_size(False)
     table.set_fontsize(9)

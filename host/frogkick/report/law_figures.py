@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from frogkick.core.arrays import Float64, Int64
 from frogkick.core.poses import body_from_world, world_from_body, wrap_angle
 from frogkick.effects import Body, History, Law, Stroke
+from frogkick.effects.law import CHANNELS
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.segments import Segments
 from frogkick.report import style
@@ -34,11 +35,7 @@ _LABELS = {
     "delay_s": "delay", "duration_scale": "share of the duration", "x_m": "offset along x",
     "y_m": "offset along y", "heading_rad": "offset of the heading",
 }  # fmt: skip
-_UNITS = {
-    **dict.fromkeys(("x_n", "y_n", "forward_n", "left_n"), "N"), "torque_nm": "N m",
-    **dict.fromkeys(("x_mps", "y_mps"), "m/s"), **dict.fromkeys(("gain", "duration_scale"), "1"),
-    "delay_s": "s", **dict.fromkeys(("x_m", "y_m"), "m"), "heading_rad": "rad",
-}  # fmt: skip
+_UNITS = {key: unit for units in CHANNELS.values() for key, unit in units.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,21 +151,14 @@ def _area(periods: Periods) -> tuple[Float64, Float64]:
     return places.min(axis=0) - BESIDE_M, places.max(axis=0) + BESIDE_M
 
 
-def _grid(periods: Periods, count: int) -> tuple[Float64, Float64]:
-    low, high = _area(periods)
-    step = float((high - low).max()) / count
-    x, y = np.meshgrid(*(np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)))
-    return x, y
-
-
 def _field(figure: Figure, axes: Axes, law: Law, periods: Periods) -> None:
     """Arrows of a force, a flow or an offset over the pool; colours of resistance or of strokes."""
     moves = bool(law.names & {"forward_mps", "left_mps", "turn_radps"})
     coloured = moves or law.on == "stroke" or not {"x_n", "x_mps", "x_m"} & set(law.formulas)
-    x, y = _grid(periods, FINE if coloured else CELLS)
-    still = {
-        name: np.zeros_like(x) for name in ("time_s", "heading_rad", "left_mps", "turn_radps", "strokes")
-    }
+    low, high = _area(periods)
+    step = float((high - low).max()) / (FINE if coloured else CELLS)
+    x, y = np.meshgrid(*(np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)))
+    still = dict.fromkeys(("time_s", "heading_rad", "left_mps", "turn_radps", "strokes"), np.zeros_like(x))
     given = law.over({**still, "x_m": x, "y_m": y, "forward_mps": np.full_like(x, SPEED_MPS), "chance": 0.5})
     if coloured:
         key = next(iter(law.formulas))
@@ -183,11 +173,9 @@ def _field(figure: Figure, axes: Axes, law: Law, periods: Periods) -> None:
         scale, unit = _SCALED[_UNITS[first]]
         along, aside = scale * given[first], scale * given.get(other, np.zeros_like(x))
         largest = max(float(np.hypot(along, aside).max()), 1e-12)
-        step = 100.0 * float(np.diff(x[0])[0]) if x.shape[1] > 1 else 1.0
-        arrows = axes.quiver(
-            100.0 * x, 100.0 * y, along, aside, angles="xy", scale_units="xy", scale=largest / step,
-            color=style.PREDICTED, width=0.004,
-        )  # fmt: skip
+        step_cm = 100.0 * float(np.diff(x[0])[0]) if x.shape[1] > 1 else 1.0
+        look = {**style.TO_SCALE, "scale": largest / step_cm, "color": style.PREDICTED, "width": 0.004}
+        arrows = axes.quiver(100.0 * x, 100.0 * y, along, aside, **look)
         axes.quiverkey(arrows, 0.84, 1.04, largest, f"{largest:.3g} {unit}", labelpos="E")
     axes.plot(*(100.0 * periods.pose[:, :2].T), ".", color=style.DESIRED, markersize=2)
     style.pool_axes(axes)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -70,12 +71,8 @@ def actions_figure(robot: Robot, ends: Float64) -> Figure:
                 colour = style.ALARM if first else style.PREDICTED if second else style.TRUE
                 shapes, width = (active, 2.5) if first or second else (rest, 1.0)
                 _line(axes, shapes[index], "-", color=colour, linewidth=width)
-            axes.annotate(
-                "",
-                (1e3 * end[1], 1e3 * end[0]),
-                xytext=(0.0, 0.0),
-                arrowprops={"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0},
-            )
+            tip = (1e3 * end[1], 1e3 * end[0])
+            style.arrow(axes, (0.0, 0.0), tip, color="black", shrinkA=0, shrinkB=0)
             axes.set(xlim=(high[1], low[1]), ylim=(low[0], high[0]))
             axes.set_aspect("equal", adjustable="box")
             axes.set_axis_off()
@@ -109,8 +106,8 @@ def _mesh_origin(robot: Robot, mesh: Mesh) -> Float64:
     return np.asarray(np.array(robot.frame.corners_m[0]) - mesh.rest_m[0])
 
 
-def _line(axes: Axes, points_mm: Float64, form: str, **options: object) -> None:
-    axes.plot(points_mm[:, 1], points_mm[:, 0], form, **options)  # type: ignore[arg-type]
+def _line(axes: Axes, points_mm: Float64, form: str, **look: Any) -> None:
+    axes.plot(points_mm[:, 1], points_mm[:, 0], form, **look)
 
 
 def _away(robot: Robot, corner: int) -> tuple[float, float]:
@@ -131,16 +128,9 @@ def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
         away = _away(robot, index)
         # Outside is where limbs are.
         side = -1.0 if any(limb.corner == index for limb in robot.limbs) else 1.0
-        axes.annotate(
-            f"corner {index}",
-            (corner[0, 1], corner[0, 0]),
-            xytext=(side * 28.0 * away[0], side * 20.0 * away[1]),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            color=style.DESIRED,
-            fontsize=7,
-        )
+        beside = (side * 28.0 * away[0], side * 20.0 * away[1])
+        look = style.look(textcoords="offset points", ha="center", va="center", color=style.DESIRED)
+        axes.annotate(f"corner {index}", (corner[0, 1], corner[0, 0]), beside, fontsize=7, **look)
 
 
 def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
@@ -163,15 +153,11 @@ def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
         tip = active[-1]
         # The page's x is -y of the body.
         right, up = -math.sin(limb.direction_rad), math.cos(limb.direction_rad)
+        look = style.look(textcoords="offset points", ha="left" if right > 0.0 else "right", va="center")
+        colour, told = style.TRUE if actions else style.ALARM, f"actions {actions or 'none'}"
+        beside = (10.0 * right, 16.0 * up)
         axes.annotate(
-            f"{index} {limb.name}\nactions {actions or 'none'}",
-            (tip[1], tip[0]),
-            xytext=(10.0 * right, 16.0 * up),
-            textcoords="offset points",
-            ha="left" if right > 0.0 else "right",
-            va="center",
-            color=style.TRUE if actions else style.ALARM,
-            fontsize=8,
+            f"{index} {limb.name}\n{told}", (tip[1], tip[0]), beside, color=colour, fontsize=8, **look
         )
 
 
@@ -179,31 +165,24 @@ def _centre_and_forward(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64)
     centre = 1e3 * _mesh_origin(robot, mesh)
     axes.plot([centre[1]], [centre[0]], "x", color="black", markersize=9, markeredgewidth=2)
     length = 0.3 * float(np.ptp(nodes_mm[: mesh.frame_nodes, 0]))
-    axes.annotate(
-        "",
-        (centre[1], centre[0] + length),
-        xytext=(centre[1], centre[0]),
-        arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.5},
-    )
-    axes.annotate("forward", (centre[1], centre[0] + length), xytext=(4, 2), textcoords="offset points")
+    tip = (centre[1], centre[0] + length)
+    style.arrow(axes, (centre[1], centre[0]), tip, color="black", linewidth=1.5)
+    axes.annotate("forward", tip, xytext=(4, 2), textcoords="offset points")
     axes.plot([0.0], [0.0], "+", color=style.DESIRED, markersize=9)
 
 
 def _legend(robot: Robot) -> list[Line2D]:
     fall = robot.actuation().drop_per_m
     at = f"{robot.egain_percent:g} % EGaIn, {robot.profile_frequency_hz:g} Hz"
-
-    def entry(label: str, **options: object) -> Line2D:
-        return Line2D([], [], label=label, **options)  # type: ignore[arg-type]
-
-    return [
-        entry("frame: nodes, corners", color=style.DESIRED, marker="s", markersize=5),
-        entry("limb at rest; circle: tip", color=style.TRUE, marker="o", markerfacecolor="white"),
-        entry(f"limb active: -{fall:.0f} 1/m ({at})", color=style.ALARM, marker="."),
-        entry("edge that the root bends against", color="black", linewidth=4, alpha=0.55),
-        entry("centre of mass (with added mass)", color="black", marker="x", linestyle="none"),
-        entry("origin of the file's coordinates", color=style.DESIRED, marker="+", linestyle="none"),
-    ]
+    entries: dict[str, dict[str, Any]] = {
+        "frame: nodes, corners": {"color": style.DESIRED, "marker": "s", "markersize": 5},
+        "limb at rest; circle: tip": {"color": style.TRUE, "marker": "o", "markerfacecolor": "white"},
+        f"limb active: -{fall:.0f} 1/m ({at})": {"color": style.ALARM, "marker": "."},
+        "edge that the root bends against": {"color": "black", "linewidth": 4, "alpha": 0.55},
+        "centre of mass (with added mass)": {"color": "black", "marker": "x", "linestyle": "none"},
+        "origin of the file's coordinates": {"color": style.DESIRED, "marker": "+", "linestyle": "none"},
+    }
+    return [Line2D([], [], label=label, **look) for label, look in entries.items()]
 
 
 def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Figure:

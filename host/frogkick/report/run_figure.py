@@ -102,16 +102,8 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     for number, ((x, y), name, offset) in enumerate(zip(here, names, _beside(here), strict=True)):
         # Words at each decision would cover each other.
         again = words and number > 0 and names[number - 1] == name
-        axes.annotate(
-            "" if again else name,
-            (x, y),
-            textcoords="offset points",
-            xytext=(offset[0], offset[1]),
-            ha="center",
-            va="center",
-            fontsize=7,
-            color=seen.colour,
-        )
+        look = style.look(textcoords="offset points", ha="center", va="center", fontsize=7, color=seen.colour)
+        axes.annotate("" if again else name, (x, y), (offset[0], offset[1]), **look)
     for x_m, y_m in sorted({end_m for _, _, end_m in spans_of(run)}):
         limit = Circle((100.0 * x_m, 100.0 * y_m), 100.0 * HOLD_LIMIT_M, fill=False, color=style.ALARM)
         limit.set(linestyle=":", label=f"within {1e3 * HOLD_LIMIT_M:.0f} mm of the end")
@@ -144,11 +136,12 @@ def _actions(axes: Axes, run: RunLog, seen: _Seen) -> None:
     axes.set(ylabel="action", title="Actions chosen")
 
 
-def _errors(axes: Axes, time_s: Float64, position_mm: Float64, heading_deg: Float64, colour: str) -> None:
-    axes.plot(time_s, position_mm, "o-", color=colour, markersize=3, linewidth=0.8, label="position (mm)")
-    axes.plot(
-        time_s, heading_deg, "^:", color=colour, markersize=3, linewidth=0.8, label="heading (deg)", alpha=0.7
-    )
+def _errors(axes: Axes, time_s: Float64, gap: Float64, colour: str) -> None:
+    """Draw errors of poses, (n, 3), over time."""
+    position_mm, heading_deg = 1e3 * np.hypot(*gap[:, :2].T), np.rad2deg(np.abs(gap[:, 2]))
+    look = style.look(color=colour, markersize=3, linewidth=0.8)
+    axes.plot(time_s, position_mm, "o-", label="position (mm)", **look)
+    axes.plot(time_s, heading_deg, "^:", label="heading (deg)", alpha=0.7, **look)
     axes.set(
         ylabel="error (mm, deg)",
         ylim=(0.0, 1.35 * max(1e-3, float(np.max(position_mm)), float(np.max(heading_deg)))),
@@ -160,22 +153,15 @@ def _estimate(axes: Axes, run: RunLog, seen: _Seen) -> None:
     assert run.decisions.estimate is not None
     time_s = run.decisions.time_s
     truth = true_poses_at(run, time_s)
-    estimate = run.decisions.estimate
-    position_mm = 1e3 * np.hypot(*(estimate[:, :2] - truth[:, :2]).T)
-    heading_deg = np.rad2deg(np.abs(wrap_angle(estimate[:, 2] - truth[:, 2])))
-    _errors(axes, time_s, position_mm, heading_deg, style.ESTIMATED)
+    gap = run.decisions.estimate[:, :3] - truth[:, :3]
+    gap[:, 2] = wrap_angle(gap[:, 2])
+    _errors(axes, time_s, gap, style.ESTIMATED)
     axes.set_title("Error of the robot's estimate at each decision")
 
 
 def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
     missed = residual(run)
-    _errors(
-        axes,
-        missed.time_s,
-        1e3 * np.hypot(*missed.gap_body[:, :2].T),
-        np.rad2deg(np.abs(missed.gap_body[:, 2])),
-        style.PREDICTED,
-    )
+    _errors(axes, missed.time_s, missed.gap_body, style.PREDICTED)
     axes.set_title(f"Error one period ahead: {missed.error:.1f} RMS")
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path
 
@@ -74,6 +75,13 @@ def pool_axes(axes: Axes) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x in the pool (cm)")
     axes.set_ylabel("y in the pool (cm)")
+
+
+def arrow(
+    axes: Axes, start: Sequence[float] | Float64, end: Sequence[float] | Float64, **options: Any
+) -> None:
+    """Draw an arrow between two points; options are those of matplotlib's ``arrowprops``."""
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops={"arrowstyle": "-|>", **options})
 
 
 def plain_decades(axis: Axis) -> None:

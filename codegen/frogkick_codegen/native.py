@@ -18,10 +18,17 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.arrays import AnyArray, Float32, UInt16
-from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, one_at_a_time
 from frogkick.core.shared_library import load
-from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, along_rows, limb_use_rows, path_rows
+from frogkick.planner.plan import (
+    PLAN_ROW,
+    PathLike,
+    PlanConfig,
+    along_rows,
+    limb_use_rows,
+    path_rows,
+    query_rows,
+)
 from frogkick.tables.image import TableError
 from frogkick_codegen import declared
 from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES, WARNINGS, Compiler, ToolchainError, zig
@@ -157,16 +164,8 @@ class NativeLibrary:
             InputError: the arrays' shapes do not fit.
         """
         points = path_rows(path)
-        with np.errstate(over="ignore"):
-            queries = np.ascontiguousarray(states, dtype=np.float32)
-        if queries.ndim != 2 or queries.shape[1] != 6:
-            raise InputError(f"states have shape {queries.shape}, needed is (k, 6): pass one row for each")
-        many = np.full(len(queries), config.depth) if depths is None else np.asarray(depths)
-        if many.shape != (len(queries),):
-            raise InputError(
-                f"depths have shape {many.shape}, needed is ({len(queries)},): pass one for each"
-            )
-        levels = np.ascontiguousarray(many, dtype=np.int32)
+        queries, many = query_rows(config, states, depths)
+        levels = many.astype(np.int32)
         used = limb_use_rows(limb_use, len(queries))
         rows = np.zeros(len(queries), dtype=PLAN_ROW)
         status = self._library.fk_native_plan_batch(

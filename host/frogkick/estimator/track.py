@@ -83,7 +83,7 @@ def _seconds(time_us: int) -> np.float32:
 
 def resting_action_of(tables: Tables) -> int:
     """Return the first action that fires no limb, or the number of actions if there is none."""
-    still = [i for i, row in enumerate(tables.actions) if not row.first_mask | row.second_mask]
+    still = np.flatnonzero(~tables.fires.any(axis=1)).tolist()
     return still[0] if still else len(tables.actions)
 
 

@@ -61,8 +61,7 @@ class WearFilter:
             raise InputError(
                 "the table holds no wear curves to learn by: build it again, or do without learn"
             )
-        masks = [row.first_mask | row.second_mask for row in tables.actions]
-        self._fires = [[limb for limb in range(tables.limbs) if mask >> limb & 1] for mask in masks]
+        self._fires = [np.flatnonzero(fires).tolist() for fires in tables.fires]
         self._original = tables
         self.held = False
         self.restart([0] * tables.limbs)

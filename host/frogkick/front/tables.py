@@ -86,7 +86,8 @@ class Table:
             Among others ``position_m`` (m) and ``heading_rad`` (rad).
         """
         with shown(progress, "unseen states") as tell:
-            return libraries.table_error(self.tables, self.robot, states, seed, sampling, tell)
+            unseen = libraries.sample_library(self.robot, states, seed, sampling, tell)
+            return libraries.error_on(self.tables, unseen)
 
     def save(self, file: Path | str) -> None:
         """Write the image (.fkt)."""

@@ -10,7 +10,7 @@ from frogkick.library.build import (
     sample_library,
     truncate_library,
 )
-from frogkick.library.error import error_on, table_error
+from frogkick.library.error import error_on
 from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, default_table, fit_table
 from frogkick.library.sampling import SAMPLINGS, sample_starts
 from frogkick.library.store import (
@@ -44,7 +44,6 @@ __all__ = [
     "read_recorded",
     "sample_library",
     "sample_starts",
-    "table_error",
     "truncate_library",
     "write_library",
 ]

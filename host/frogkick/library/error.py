@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,38 +9,9 @@ import numpy as np
 from frogkick.core.arrays import Float64, Int64
 from frogkick.core.compiled import kept, stamp_of
 from frogkick.core.poses import wrap_angle
-from frogkick.library.build import sample_library
 from frogkick.library.store import Library
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
-from frogkick.robot import Robot
 from frogkick.tables.image import Tables
-
-
-def table_error(
-    tables: Tables,
-    robot: Robot,
-    states: int,
-    seed: int,
-    sampling: str = "box",
-    progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> dict[str, float]:
-    """Root mean square error of a table's transitions on unseen states.
-
-    Args:
-        tables: the table, of any kind.
-        robot: the robot to simulate.
-        states: number of unseen states.
-        seed: of their sampling; not that of the library.
-        sampling: see ``sample_starts``.
-        progress: called with transitions done and all transitions.
-
-    Returns:
-        See ``error_on``.
-
-    Raises:
-        ConvergenceError: a simulation failed.
-    """
-    return error_on(tables, sample_library(robot, states, seed, sampling, progress))
 
 
 def error_on(tables: Tables, unseen: Library) -> dict[str, float]:

@@ -53,19 +53,9 @@ DYNAMICS = 3 + LIMBS_MAX
 def arrays_of(tables: Tables) -> TableArrays:
     """The arrays of an opened table."""
     states = tables.states.astype(np.int64)
-    masks = np.array([row.first_mask | row.second_mask for row in tables.actions], dtype=np.int64)
+    same = TableArrays._fields[: TableArrays._fields.index("least")]
     return TableArrays(
-        states=tables.states,
-        transitions=tables.transitions,
-        derivatives=tables.derivatives,
-        history=tables.history,
-        shift=tables.shift,
-        fires=(masks[:, None] >> np.arange(tables.limbs)) & 1,
-        velocity_scale=tables.velocity_scale,
-        motion_scale=tables.motion_scale,
-        motion_limit=tables.motion_limit,
-        correction_shift=tables.correction_shift,
-        offset_limit=tables.offset_limit,
+        **{name: getattr(tables, name) for name in same},
         least=states.min(axis=0) - tables.offset_limit,
         most=states.max(axis=0) + tables.offset_limit,
         use=np.array([tables.use_decay, tables.use_gain], dtype=np.int64),

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.core.arrays import AnyArray, Float32, UInt16
+from frogkick.core.arrays import AnyArray, Float32, Int64, UInt16
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.weights import WEIGHTS, Weights
 from frogkick.planner import kernel
@@ -227,21 +227,14 @@ def plan_batch(
     Raises:
         InputError: the arrays' shapes do not fit each other.
     """
-    queries = _float32(states)
-    if queries.ndim != 2 or queries.shape[1] != 6:
-        raise InputError(f"states have shape {queries.shape}, needed is (k, 6): pass one row for each state")
-    many = np.full(len(queries), config.depth) if depths is None else np.asarray(depths)
-    if many.shape != (len(queries),):
-        raise InputError(
-            f"depths have shape {many.shape}, needed is ({len(queries)},): pass one for each state"
-        )
+    queries, many = query_rows(config, states, depths)
     numbers = np.zeros((len(queries), kernel.NUMBERS + LIMBS_MAX), dtype=np.int32)
     values = np.zeros((len(queries), kernel.VALUES), dtype=np.float32)
     kernel.plan_many(
         arrays_of(tables),
         path_rows(path),
         config.settings(),
-        many.astype(np.int64),
+        many,
         queries,
         limb_use_rows(limb_use, len(queries)),
         along_rows(along_points, len(queries)),
@@ -255,6 +248,21 @@ def plan_batch(
     rows["predicted"] = values[:, 3:]
     rows["predicted_limb_use"] = numbers[:, kernel.NUMBERS :]
     return rows
+
+
+def query_rows(
+    config: PlanConfig, states: npt.ArrayLike, depths: npt.ArrayLike | None
+) -> tuple[Float32, Int64]:
+    """States as (k, 6) float32, and the depth of each as (k,) int64; None: ``config.depth``."""
+    queries = _float32(states)
+    if queries.ndim != 2 or queries.shape[1] != 6:
+        raise InputError(f"states have shape {queries.shape}, needed is (k, 6): pass one row for each state")
+    many = np.full(len(queries), config.depth) if depths is None else np.asarray(depths)
+    if many.shape != (len(queries),):
+        raise InputError(
+            f"depths have shape {many.shape}, needed is ({len(queries)},): pass one for each state"
+        )
+    return queries, many.astype(np.int64)
 
 
 def path_rows(path: PathLike) -> Float32:

@@ -122,15 +122,19 @@ class Tables:
         return np.float32(np.float32(self.motion_limit[2]) * self.motion_scale[2])
 
     @property
+    def fires(self) -> Int64:
+        """(a, l) 1 where an action fires a limb."""
+        masks = np.array([row.first_mask | row.second_mask for row in self.actions], dtype=np.int64)
+        return (masks[:, None] >> np.arange(self.limbs)) & 1
+
+    @property
     def shift(self) -> Int64:
         """(a, 6) codes that the worn limbs change of each action: the twin of wear.c."""
-        masks = np.array([row.first_mask | row.second_mask for row in self.actions], dtype=np.int64)
-        fires = (masks[:, None] >> np.arange(self.limbs)) & 1
         if not self.limb_wear.size:
             return np.zeros((len(self.actions), 6), dtype=np.int64)
         changes = np.array([self.wear_at(limb, int(lost)) for limb, lost in enumerate(self.lost)])
         limit = layout.WEAR_CODE_MAX
-        return np.asarray(np.clip(fires @ changes, -limit, limit), dtype=np.int64)
+        return np.asarray(np.clip(self.fires @ changes, -limit, limit), dtype=np.int64)
 
     def wear_at(self, limb: int, lost: int) -> Int64:
         """(6,) codes that a limb changes which has lost a share, 0 to 32767: the twin of fk_wear_curve()."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -66,14 +67,12 @@ def history_worth(
         seed: seed of the libraries; the unseen states have the next one.
     """
     results: list[HistoryResult] = []
-    steps = 6
-    for index, (variant, text) in enumerate(VARIANTS.items()):
-        steps_done = [0]
+    steps = itertools.count()
 
-        def step(index: int = index, steps_done: list[int] = steps_done) -> None:
-            progress(index * steps + steps_done[0], len(VARIANTS) * steps)
-            steps_done[0] += 1
+    def step() -> None:
+        progress(next(steps), 6 * len(VARIANTS))
 
+    for variant, text in VARIANTS.items():
         step()
         tiring = parse_robot(f"{robot.toml}\n{text}", source=variant) if text else robot
         library = sample_library(tiring, states, seed, "visited")
@@ -99,7 +98,7 @@ def history_worth(
             )
         )
         step()
-    progress(len(VARIANTS) * steps, len(VARIANTS) * steps)
+    step()
     return results
 
 

@@ -54,11 +54,28 @@ class TablePoint:
 
 
 @dataclass(frozen=True)
-class TableSizes:
-    """Tables by their size, and affine ones of one size by the library's size."""
+class TableSizes(Found):
+    """Tables by their size, and affine ones of 64 KiB by their library's size; the unseen states' seed."""
 
     by_size: tuple[TablePoint, ...]
     by_library: tuple[TablePoint, ...]
+    seed: int = 0
+
+    def plot(self) -> Figure:
+        return table_size_figure(self)
+
+    def as_json(self) -> dict[str, Any]:
+        affine = tuple(point for point in self.by_size if point.kind == "affine")
+        return {
+            "by_size": [dataclasses.asdict(point) for point in self.by_size],
+            "by_library": [dataclasses.asdict(point) for point in self.by_library],
+            "affine_bytes_as_good_as_nearest": least_bytes_as_good(self),
+            "affine_64_kib_over_full_nearest": over_full_nearest(self),
+            "affine_exponent": {
+                name: round(slope(affine, name), 3) for name in ("position_m", "heading_rad")
+            },
+            "seed": self.seed,
+        }
 
 
 def first_states(library: Library, count: int) -> Library:
@@ -119,7 +136,7 @@ def table_sizes(
         point(fit_table(first_states(library, states), "affine", _AFFINE_KIB * KIB).image, states)
         for states in libraries
     ]
-    return TableSizes(tuple(by_size), tuple(by_library))
+    return TableSizes(tuple(by_size), tuple(by_library), seed)
 
 
 def least_bytes_as_good(sizes: TableSizes) -> int | None:
@@ -157,41 +174,11 @@ def slope(points: tuple[TablePoint, ...], name: str) -> float:
     return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
 
 
-@dataclass(frozen=True, eq=False)
-class TableStudy(Found):
-    """Error of tables of both kinds against their size, and against their library's.
-
-    Attributes:
-        sizes: all tables.
-        seed: seed of the unseen states.
-    """
-
-    sizes: TableSizes
-    seed: int
-
-    def plot(self) -> Figure:
-        return table_size_figure(self.sizes)
-
-    def as_json(self) -> dict[str, Any]:
-        affine = tuple(point for point in self.sizes.by_size if point.kind == "affine")
-        return {
-            "by_size": [dataclasses.asdict(point) for point in self.sizes.by_size],
-            "by_library": [dataclasses.asdict(point) for point in self.sizes.by_library],
-            "affine_bytes_as_good_as_nearest": least_bytes_as_good(self.sizes),
-            "affine_64_kib_over_full_nearest": over_full_nearest(self.sizes),
-            "affine_exponent": {
-                name: round(slope(affine, name), 3) for name in ("position_m", "heading_rad")
-            },
-            "seed": self.seed,
-        }
-
-
-def run(config: Tables) -> TableStudy:
+def run(config: Tables) -> TableSizes:
     """Make tables of many sizes from a library, and measure each on unseen states."""
     content = read_library(config.library)
     with shown(True, "tables") as tell:
-        sizes = table_sizes(content, config.test_states, config.seed, tell, config.swims)
-    return TableStudy(sizes, config.seed)
+        return table_sizes(content, config.test_states, config.seed, tell, config.swims)
 
 
 _COLOUR = {"nearest": style.MEASURED, "affine": style.TRUE}

@@ -26,6 +26,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
+from frogkick.front.places import start_pose
 from frogkick.front.tables import robot_of_table, table_image
 from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.fit import rollouts_of
@@ -155,9 +156,8 @@ def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence
     swims = []
     for index, name in enumerate(paths):
         path = shape(name)
-        start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
         world = World(make_effects(planted, ready.folder))
-        pool = Pool(ready.robot, start, Camera(), np.random.default_rng([seed, index]), world)
+        pool = Pool(ready.robot, start_pose(path), Camera(), np.random.default_rng([seed, index]), world)
         config = config_of(ready.robot.planner)
         if name in TEST:
             hurry = HURRY * config.progress_weight_per_m

@@ -35,7 +35,6 @@ from frogkick_studies.rods_in_loop import (
     follow_paths,
     table_of_motions,
 )
-from frogkick_studies.tables import first_states
 
 ROBOT = made.robot()
 ACTIONS = len(ROBOT.actions)
@@ -51,7 +50,7 @@ def library() -> Library:
 @pytest.fixture(scope="module")
 def images(library: Library) -> dict[str, bytes]:
     """A good table and, as the nearest one, a bad one: of one state."""
-    return {AFFINE: fit_table(library, "affine").image, NEAREST: quantise(first_states(library, 1))}
+    return {AFFINE: fit_table(library, "affine").image, NEAREST: quantise(library.part(np.arange(1)))}
 
 
 @pytest.fixture(scope="module")

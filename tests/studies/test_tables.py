@@ -21,7 +21,6 @@ from frogkick_studies.history import history_figure
 from frogkick_studies.tables import (
     TablePoint,
     TableSizes,
-    first_states,
     least_bytes_as_good,
     over_full_nearest,
     slope,
@@ -56,9 +55,9 @@ def test_each_point_is_a_table_made_and_measured_by_hand(library: Library) -> No
     assert [p.library_states for p in sizes.by_library] == [60, 90]
     box, visited = (sample_library(robot(), 4, 7, sampling) for sampling in ("box", "visited"))
     for point, image in (
-        (sizes.by_size[0], quantise(first_states(library, 30))),
+        (sizes.by_size[0], quantise(library.part(np.arange(30)))),
         (sizes.by_size[3], fit_table(library, "affine", 6 * 1024).image),
-        (sizes.by_library[0], fit_table(first_states(library, 60), "affine", 64 * 1024).image),
+        (sizes.by_library[0], fit_table(library.part(np.arange(60)), "affine", 64 * 1024).image),
     ):
         tables = open_image(image)
         assert (point.bytes, point.states) == (len(image), len(tables.states))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int64
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import wrap_angle
 from frogkick.core.progress import Tell
@@ -77,8 +77,7 @@ def fit_table(
 
     A table of kind "nearest" has all states of the library if they fit into the budget, as in the paper.
     Otherwise states are chosen where the error is large (see frogkick.library.voronoi), and the best of
-    several
-    roundings of the values is taken: coarser values leave room for more states.
+    several roundings of the values is taken: coarser values leave room for more states.
 
     Args:
         library: at least WHOLE_MIN complete states; any number for a "nearest" table of all states.
@@ -136,19 +135,15 @@ class _Fit:
         self._regressions: dict[tuple[str, int], VoronoiRegression] = {}
 
     @cached_property
-    def _seen(self) -> Int64:
-        return np.setdiff1d(self._whole, self._held)
+    def _seen(self) -> Library:
+        """The library of the complete states that are not held out."""
+        return self._library.part(np.setdiff1d(self._whole, self._held))
 
     @cached_property
     def _surface(self) -> Surface:
-        library, seen = self._library, self._seen
-        require_enough(library)
-        return fit_surface(
-            self._robot,
-            library.initial_velocity_body[seen],
-            library.rows()[seen],
-            library.previous_actions[seen],
-        )
+        require_enough(self._library)
+        seen = self._seen
+        return fit_surface(self._robot, seen.initial_velocity_body, seen.rows(), seen.previous_actions)
 
     @cached_property
     def _whole_table(self) -> Fitted:
@@ -156,16 +151,7 @@ class _Fit:
         image = quantise(self._library)
         if not len(self._held):
             return Fitted(image, "nearest", {}, math.inf)
-        library, seen = self._library, self._seen
-        part = replace(
-            library,
-            initial_velocity_body=library.initial_velocity_body[seen],
-            displacement_body=library.displacement_body[seen],
-            velocity_body_end=library.velocity_body_end[seen],
-            previous_actions=library.previous_actions[seen],
-            failed=(),
-        )
-        return replace(self._scored("nearest", quantise(part)), image=image)
+        return replace(self._scored("nearest", quantise(self._seen)), image=image)
 
     def table(self, kind: str, coarseness: float, budget_bytes: int | None) -> Fitted:
         """The table of a kind with as many states as fit, with a multiple of the default rounding."""

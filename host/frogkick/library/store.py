@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +107,18 @@ class Library:
         whole = np.ones(len(self.initial_velocity_body), dtype=bool)
         whole[[failure.state for failure in self.failed]] = False
         return whole
+
+    def part(self, states: Int64) -> Library:
+        """The library of some of its states, by their places."""
+        place = {state: k for k, state in enumerate(states.tolist())}
+        return replace(
+            self,
+            initial_velocity_body=self.initial_velocity_body[states],
+            displacement_body=self.displacement_body[states],
+            velocity_body_end=self.velocity_body_end[states],
+            previous_actions=self.previous_actions[states],
+            failed=tuple(replace(f, state=place[f.state]) for f in self.failed if f.state in place),
+        )
 
     def robot(self) -> Robot:
         """The robot that was simulated."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -78,18 +78,6 @@ class TableSizes(Found):
         }
 
 
-def first_states(library: Library, count: int) -> Library:
-    """Return the library of a smaller ``--states``: its first states."""
-    return replace(
-        library,
-        initial_velocity_body=library.initial_velocity_body[:count],
-        displacement_body=library.displacement_body[:count],
-        velocity_body_end=library.velocity_body_end[:count],
-        previous_actions=library.previous_actions[:count],
-        failed=tuple(failure for failure in library.failed if failure.state < count),
-    )
-
-
 def table_sizes(
     library: Library,
     test_states: int,
@@ -130,10 +118,10 @@ def table_sizes(
             error_on(tables, visited),
         )
 
-    by_size = [point(quantise(first_states(library, states)), states) for states in nearest]
+    by_size = [point(quantise(library.part(np.arange(states))), states) for states in nearest]
     by_size += [point(fit_table(library, "affine", kib * KIB).image, whole) for kib in AFFINE_KIB]
     by_library = [
-        point(fit_table(first_states(library, states), "affine", _AFFINE_KIB * KIB).image, states)
+        point(fit_table(library.part(np.arange(states)), "affine", _AFFINE_KIB * KIB).image, states)
         for states in libraries
     ]
     return TableSizes(tuple(by_size), tuple(by_library), seed)

@@ -8,7 +8,7 @@ outliers in a row that agree with each other reset the pose. This is the twin of
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -76,29 +76,24 @@ class _Fix:
         return self.sequence & 0xFFFF, self.pose.tobytes()
 
 
-@dataclass
 class Estimator:
     """Predicts from decision to decision with a table, and corrects the prediction by fixes.
 
     Attributes:
-        tables: tables of the prediction.
         restarts: number of resets to outliers that agree with each other.
     """
 
-    tables: Tables
-    restarts: int = 0
-    _newest: _Fix | None = None
-    _outliers: list[_Fix] = field(default_factory=list)
-    _fixes: int = 0
-
-    def __post_init__(self) -> None:
-        self.track = Track(self.tables)
+    def __init__(self, tables: Tables) -> None:
+        self.track = Track(tables)
         self._marks: deque[tuple[int, bytes]] = deque(maxlen=MARKS)
+        self.restart()
 
     def restart(self) -> None:
         """Forget all but what the limbs have lost, as a robot does that is told LEARN OFF or HELD."""
         self.track.restart()
-        self.restarts, self._newest, self._outliers, self._fixes = 0, None, [], 0
+        self.restarts, self._fixes = 0, 0
+        self._newest: _Fix | None = None
+        self._outliers: list[_Fix] = []
         self._marks.clear()
 
     @property

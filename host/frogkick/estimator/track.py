@@ -18,7 +18,7 @@ Autom. Control 15(2) (process noise from innovations).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -98,7 +98,6 @@ class _Instant:
     fixes: int = 0
 
 
-@dataclass
 class Track:
     """The filter: mean and covariance of the states at the last instants.
 
@@ -111,25 +110,21 @@ class Track:
         wear: estimates what the limbs have lost; None: they are taken as new.
     """
 
-    tables: Tables
-    instants: list[_Instant] = field(default_factory=list)
-    mean: Float32 = field(default_factory=lambda: np.zeros((3, 0), dtype=np.float32))
-    covariance: Float32 = field(default_factory=lambda: np.zeros((2, 0, 0), dtype=np.float32))
-    process_noise: Float32 = field(default_factory=_PROCESS_NOISE.copy)
-    wear: WearFilter | None = None
-
-    def __post_init__(self) -> None:
-        self._original = self.tables
-        self._arrays = arrays_of(self.tables)
-        self._per_velocity = _F(1) / np.asarray(self.tables.velocity_scale, dtype=np.float32)
-        self.resting_action = resting_action_of(self.tables)
-        self._fire_s = (_F(self.tables.pulse_us) + _F(self.tables.second_delay_us)) * _MICROSECOND
+    def __init__(self, tables: Tables) -> None:
+        self._original = tables
+        self._use(tables)
+        self._per_velocity = _F(1) / np.asarray(tables.velocity_scale, dtype=np.float32)
+        self.resting_action = resting_action_of(tables)
+        self._fire_s = (_F(tables.pulse_us) + _F(tables.second_delay_us)) * _MICROSECOND
+        self.mean: Float32 = np.zeros((3, 0), dtype=np.float32)
+        self.covariance: Float32 = np.zeros((2, 0, 0), dtype=np.float32)
+        self.wear: WearFilter | None = None
         self.restart()
 
     def restart(self) -> None:
         """Forget all but what the limbs have lost."""
-        self.instants = []
-        self.process_noise = _PROCESS_NOISE.copy()
+        self.instants: list[_Instant] = []
+        self.process_noise: Float32 = _PROCESS_NOISE.copy()
         self._predicted = np.zeros(3, dtype=np.float32)
         self._predicted_variance = np.zeros(2, dtype=np.float32)
         self._learned = 0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.arrays import AnyArray, Bool, Float64, Int64
 from frogkick.der import WIDTH
-from frogkick.library.transitions import RESTED, Failed, Task, Transitions
+from frogkick.library.transitions import RESTED, Failed, Task, Transitions, rigid_task
 from frogkick.robot import Mirror, Robot, mirror_of
 
 TASK_ROBOTS = 2 * WIDTH
@@ -99,12 +99,7 @@ def rigid_starts(robot: Robot, velocities: Float64) -> Starts:
     place: dict[tuple[float, ...], int] = {}
     source = np.array([place.setdefault(tuple(row), len(place)) for row in folded.tolist()], dtype=np.int64)
     unique = np.array(list(place), dtype=np.float64).reshape(-1, 3)
-    tasks = []
-    for first in range(0, len(unique), TASK_ROBOTS):
-        some = unique[first : first + TASK_ROBOTS]
-        tasks.append(
-            Task(some, np.empty((len(some), 0), dtype=np.int64), np.ones((len(some), 1), dtype=bool))
-        )
+    tasks = [rigid_task(unique[first : first + TASK_ROBOTS]) for first in range(0, len(unique), TASK_ROBOTS)]
     return Starts(tuple(tasks), source // TASK_ROBOTS, source % TASK_ROBOTS, mirrored, mirror)
 
 

@@ -41,6 +41,12 @@ class Task:
         return int(self.wanted.sum())
 
 
+def rigid_task(velocity_body: Float64) -> Task:
+    """The task of (k, 3) robots at a velocity, limbs at rest."""
+    count = len(velocity_body)
+    return Task(velocity_body, np.empty((count, 0), dtype=np.int64), np.ones((count, 1), dtype=bool))
+
+
 @dataclass(frozen=True)
 class Failed:
     """A transition that could not be simulated, and why."""

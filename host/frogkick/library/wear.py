@@ -14,7 +14,7 @@ from frogkick.core.arrays import Float64
 from frogkick.der import Rods
 from frogkick.effects.base import Effect, History, Stroke
 from frogkick.library.surface import noise_of
-from frogkick.library.transitions import Task, simulate_task
+from frogkick.library.transitions import rigid_task, simulate_task
 from frogkick.tables.layout import WEAR_KNOTS
 
 GAINS = (0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
@@ -58,7 +58,7 @@ def wear_curves(rods: Rods, velocity_body: Float64) -> Float64:
     robot = rods.robot
     mean, aside = velocity_body.mean(axis=0), velocity_body.std(axis=0) * [0.0, 1.0, 1.0]
     starts = np.stack([np.zeros(3), mean, mean + aside, mean - aside])
-    task = Task(starts, np.empty((len(starts), 0), dtype=np.int64), np.ones((len(starts), 1), dtype=bool))
+    task = rigid_task(starts)
     sound = simulate_task(rods, task).rows
     found = np.zeros((len(robot.limbs), WEAR_KNOTS, 6))
     for limb in range(len(robot.limbs)):

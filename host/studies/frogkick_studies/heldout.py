@@ -40,6 +40,14 @@ from frogkick_studies.configs import Heldout
 
 LEAST_RUNS = 3
 
+ERRORS = {
+    "before": "nominal",
+    "after": "after",
+    "followed": "with drift followed",
+    "noise_floor": "noise floor",
+}
+"""Errors of a run, attributes of ``HeldOut`` and keys of the command, and how they are called in its text."""
+
 LIKE = 1.0
 """Velocities of like periods at their starts differ by less, in standard deviations over all periods."""
 
@@ -53,7 +61,7 @@ class HeldOut:
         verdict: the verdict of identification from the others.
         effects: titles of the effects identified from the others.
         before, after: errors one period ahead on this run, nominal and with these effects.
-        floor: error that the noise of the fixes alone causes.
+        noise_floor: error that the noise of the fixes alone causes.
         followed: the same as ``after``, with the drift of limbs tracked within the run as well.
         periods: (m, 8) of each period its action; the one before (-1: none); velocity at its start: forward,
             left (m/s), turn rate (rad/s); measured minus predicted pose at its end, by the pose at its
@@ -65,7 +73,7 @@ class HeldOut:
     effects: tuple[str, ...]
     before: PredictionError
     after: PredictionError
-    floor: PredictionError
+    noise_floor: PredictionError
     followed: PredictionError
     periods: Float64 = field(default_factory=lambda: np.empty((0, 8)))
 
@@ -202,20 +210,9 @@ class HeldOutStudy(Found):
     rows: Sequence[HeldOut]
     left_out: Sequence[Mapping[str, str]]
 
-    @property
-    def before(self) -> PredictionError:
-        """Error of the nominal model one period ahead, over all periods of all runs."""
-        return self._pooled([row.before for row in self.rows])
-
-    @property
-    def after(self) -> PredictionError:
-        """The same with the effects identified from the other runs."""
-        return self._pooled([row.after for row in self.rows])
-
-    @property
-    def followed(self) -> PredictionError:
-        """The same with the drift of limbs tracked within each run."""
-        return self._pooled([row.followed for row in self.rows])
+    def error(self, name: str) -> PredictionError:
+        """Error one period ahead over all periods of all runs; ``name`` is one of ERRORS."""
+        return pooled([getattr(row, name) for row in self.rows], [row.before.count for row in self.rows])
 
     @property
     def scatter(self) -> dict[str, PredictionError]:
@@ -224,27 +221,16 @@ class HeldOutStudy(Found):
         return {"same_run": scatter(runs, True), "other_runs": scatter(runs, False)}
 
     @property
-    def noise_floor(self) -> PredictionError:
-        """Error that the noise of the fixes alone causes."""
-        return self._pooled([row.floor for row in self.rows])
-
-    def _pooled(self, errors: Sequence[PredictionError]) -> PredictionError:
-        return pooled(errors, [row.before.count for row in self.rows])
-
-    @property
     def passed(self) -> bool:
         """Whether the effects predict positions no worse than the nominal model."""
-        return not self.after.position_rmse_m > self.before.position_rmse_m
+        return not self.error("after").position_rmse_m > self.error("before").position_rmse_m
 
     def plot(self) -> Figure:
         return heldout_figure(self.rows)
 
     def as_json(self) -> dict[str, Any]:
         return {
-            "before": self.before.as_json(),
-            "after": self.after.as_json(),
-            "followed": self.followed.as_json(),
-            "noise_floor": self.noise_floor.as_json(),
+            **{name: self.error(name).as_json() for name in ERRORS},
             "scatter": {
                 name: {**each.as_json(), "pairs": each.count} if each.count else None
                 for name, each in self.scatter.items()
@@ -255,10 +241,7 @@ class HeldOutStudy(Found):
                     "run": str(row.run),
                     "verdict": row.verdict,
                     "effects": list(row.effects),
-                    "before": row.before.as_json(),
-                    "after": row.after.as_json(),
-                    "followed": row.followed.as_json(),
-                    "noise_floor": row.floor.as_json(),
+                    **{name: getattr(row, name).as_json() for name in ERRORS},
                     "periods": row.before.count,
                 }
                 for row in self.rows
@@ -269,13 +252,7 @@ class HeldOutStudy(Found):
     def text(self, values: dict[str, Any]) -> str:
         lines = []
         for name, of in [*((Path(row["run"]).name, row) for row in values["runs"]), ("all", values)]:
-            titles = (
-                ("nominal", "before"),
-                ("after", "after"),
-                ("with drift followed", "followed"),
-                ("noise floor", "noise_floor"),
-            )
-            errors = ", ".join(f"{title} {PredictionError(**of[key])}" for title, key in titles)
+            errors = ", ".join(f"{title} {PredictionError(**of[key])}" for key, title in ERRORS.items())
             found = f"; {of['verdict']}: {', '.join(of['effects']) or 'no effect'}" if "verdict" in of else ""
             lines.append(f"{name}: {errors} over {of['periods']} periods{found}")
         for name, pairs in (("same_run", "of one run"), ("other_runs", "of two runs")):
@@ -309,7 +286,7 @@ def heldout_figure(rows: Sequence[HeldOut]) -> Figure:
         ):
             before, after, floor = (
                 [scale * getattr(getattr(row, name), field) for row in rows]
-                for name in ("before", "after", "floor")
+                for name in ("before", "after", "noise_floor")
             )
             axes.barh(place + 0.19, before, 0.36, color=style.NOMINAL, label="nominal model")
             axes.barh(

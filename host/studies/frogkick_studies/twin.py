@@ -219,19 +219,14 @@ class TwinStudy(Found):
     table_bytes: Mapping[str, int]
 
     @property
-    def limit_m(self) -> float:
-        """Largest mean distance to the paths of the robot's own planner."""
-        return DISTANCE_MOST_M
-
-    @property
     def mean_distance_m(self) -> dict[str, float]:
         """Of the robot's own planner, over the shapes and over the recorded runs' paths."""
         return {group: means[-1].mean_distance_m for group, means in self.over.items()}
 
     @property
     def passed(self) -> bool:
-        """Whether it is within ``limit_m`` over both."""
-        return all(one <= self.limit_m for one in self.mean_distance_m.values())
+        """Whether it is within DISTANCE_MOST_M over both."""
+        return all(one <= DISTANCE_MOST_M for one in self.mean_distance_m.values())
 
     @property
     def recorded_mean_distance_m(self) -> float | None:
@@ -256,7 +251,7 @@ class TwinStudy(Found):
             "recorded_mean_distance_m": self.recorded_mean_distance_m,
             "believed": None if self.believed is None else self._assumed(self.believed),
             "mean_distance_m": self.mean_distance_m["shapes"],
-            "limit_m": self.limit_m,
+            "limit_m": DISTANCE_MOST_M,
             "passed": self.passed,
             "seeds": self.seeds,
             "table_bytes": dict(self.table_bytes),
@@ -270,7 +265,9 @@ class TwinStudy(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        passed = f"the robot's planner {'is within' if self.passed else 'misses'} {1e3 * self.limit_m:g} mm"
+        passed = (
+            f"the robot's planner {'is within' if self.passed else 'misses'} {1e3 * DISTANCE_MOST_M:g} mm"
+        )
         return "\n".join([*self._tracking(), *self._assumed_lines(), passed])
 
     def _tracking(self) -> list[str]:

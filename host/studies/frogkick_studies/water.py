@@ -143,16 +143,6 @@ class Joint:
     values: Mapping[str, float]
 
 
-def pooled_error(ends: Sequence[Float64]) -> PredictionError:
-    """Return the RMS over (n, 3) residuals at the ends of periods of several runs."""
-    every = np.concatenate(ends)
-    return PredictionError(
-        float(np.sqrt((every[:, :2] ** 2).sum(axis=1).mean())),
-        float(np.sqrt((every[:, 2] ** 2).mean())),
-        len(every),
-    )
-
-
 def quietest(model: Model, swims: Sequence[Segments]) -> Model:
     """Return the model with that one of NOISES that predicts best."""
     models = [replace(model, noise=noise) for noise in NOISES]
@@ -165,7 +155,7 @@ def as_it_stands(robot: Robot, tables: Sequence[Table], swims: Sequence[Segments
     terms = tuple(term_of(dict(table), make_effect(dict(table), Path())) for table in tables)
     model = quietest(Model(robot, terms, NOISES[0], LEG_S), swims)
     (rollouts,) = rollouts_of([model], swims)
-    return pooled_error([end_residuals(rollouts, swims)])
+    return PredictionError.of(end_residuals(rollouts, swims))
 
 
 def together(robot: Robot, name: str, swims: Sequence[Segments]) -> Joint:
@@ -190,7 +180,8 @@ def together(robot: Robot, name: str, swims: Sequence[Segments]) -> Joint:
         for p, value in zip(term.parameters, term.values, strict=True)
     ]
     values = {f"{term.title} {p.name}": value for term, p, value in flat if value != p.nominal}
-    return Joint(pooled_error(residuals), pooled_error(ends), values)
+    fitted, left_out = (PredictionError.of(np.concatenate(each)) for each in (residuals, ends))
+    return Joint(fitted, left_out, values)
 
 
 def started(

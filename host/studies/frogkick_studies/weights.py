@@ -242,13 +242,7 @@ class WeightsTuned(Found):
     after: dict[str, Swum]
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "weights": self.weights,
-            **{
-                name: {path: dataclasses.asdict(swum) for path, swum in runs.items()}
-                for name, runs in (("before", self.before), ("after", self.after))
-            },
-        }
+        return dataclasses.asdict(self)
 
     def text(self, values: dict[str, Any]) -> str:
         lines = ["Paths that nothing was tuned on, by the table: distance, progress before and after."]

@@ -195,7 +195,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
             if target == "bench"
             else _build_native(work, compiler or zig("host"))
         )
-        sizes = _sizes(made["elf"]) if target == "bench" else (0, 0, 0)
+        sizes = image_sizes(made["elf"]) if target == "bench" else (0, 0, 0)
         # First what may be refused: a folder "emitted" that is not ours.
         emit(image, out / "emitted", command, robot_sha256=robot.sha256)
         files = {what: out / path.name for what, path in made.items()}
@@ -361,8 +361,8 @@ def _hex_of(elf: Path) -> Path:
     return target
 
 
-def _sizes(elf: Path) -> tuple[int, int, int]:
-    """Flash, RAM and reserved stack of an ELF, bytes.
+def image_sizes(elf: Path) -> tuple[int, int, int]:
+    """Flash, RAM and reserved stack of a built bench image (ELF), bytes.
 
     Raises:
         InputError: more than the chip has.
@@ -394,17 +394,3 @@ def _address(content: Any, elf: Path, name: str) -> int:
     if not found:
         raise InputError(f"{elf.name!r} has no symbol {name!r}: build it again, without stripping")
     return int(found[0]["st_value"])
-
-
-def image_sizes(elf: Path) -> tuple[int, int, int]:
-    """Flash, RAM and reserved stack of a built bench image, bytes.
-
-    Raises:
-        InputError: not an ELF of this firmware.
-    """
-    try:
-        return _sizes(elf)
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"{elf.name!r} is not a firmware image of ours ({error}): build it again") from error

@@ -16,6 +16,9 @@ from typer import Argument, Option
 
 RobotArgument = Annotated[str, Argument(help="TOML file or built-in name.")]
 LibraryArgument = Annotated[Path, Argument(help="HDF5 file of 'library build', the larger the better.")]
+OwnTableOption = Annotated[
+    Path | None, Option(help="Robot's own table; default: affine, 64 KiB, of that library.")
+]
 PictureOption = Annotated[Path | None, Option(help="Picture to write (PNG).")]
 
 
@@ -106,9 +109,7 @@ class Loop(Config):
     library: Annotated[
         Path | None, Option(help="Library for both tables; default: one of 8503 states, made once.")
     ] = None
-    tables: Annotated[
-        Path | None, Option(help="Robot's own table; default: affine, 64 KiB, of that library.")
-    ] = None
+    tables: OwnTableOption = None
     learn: Annotated[
         bool, Option(help="Compare the host as well, where it plans and learns what the limbs have lost.")
     ] = False
@@ -158,9 +159,7 @@ class Ceiling(Config):
     """
 
     library: LibraryArgument
-    tables: Annotated[
-        Path | None, Option(help="Robot's own table; default: affine, 64 KiB, of that library.")
-    ] = None
+    tables: OwnTableOption = None
     seeds: Annotated[int, Option(min=1, max=1000, help="Runs of each, by noise and start.")] = 8
     depth: Annotated[
         list[int] | None, Option(min=1, max=3, help="Strokes to look ahead; may be repeated.")

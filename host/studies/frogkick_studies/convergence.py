@@ -137,13 +137,12 @@ class ConvergenceStudy(Found):
             "limit": ERROR_LIMIT,
             "order": {curve.name: round(curve.order, 3) for curve in self.curves},
             "error_at_default": {curve.name: curve.at_default for curve in self.curves},
-            "worst": {
-                curve.name: dict(zip(curve.step_s.tolist(), curve.worst.tolist(), strict=True))
-                for curve in self.curves
-            },
-            "rms": {
-                curve.name: dict(zip(curve.step_s.tolist(), curve.error.tolist(), strict=True))
-                for curve in self.curves
+            **{
+                key: {
+                    curve.name: dict(zip(curve.step_s.tolist(), getattr(curve, name).tolist(), strict=True))
+                    for curve in self.curves
+                }
+                for key, name in (("worst", "worst"), ("rms", "error"))
             },
         }
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -55,8 +55,14 @@ class Cases:
     def part(self, at: int, count: int) -> Cases:
         """Return ``count`` cases from one on, fewer at the end."""
         some = slice(at, at + count)
-        *arrays, seed = (getattr(self, field.name) for field in fields(self))
-        return Cases(*(array[some] for array in arrays), seed)
+        return Cases(
+            self.states[some],
+            self.depths[some],
+            self.limb_use[some],
+            self.along_points[some],
+            self.kinds[some],
+            self.seed,
+        )
 
 
 @dataclass(frozen=True)

@@ -230,9 +230,6 @@ def compare_estimators(
     """Follow paths in the pool with each method under each condition.
 
     Args:
-        robot, image: the robot and its table.
-        paths, config: the paths, and the planner's configuration.
-        seeds: number of runs along each path.
         limit_s: time limit of a run in pool time, s.
         rates_hz: fixes per second.
     """

@@ -51,7 +51,6 @@ class Believed:
         agreement: share of the choices that these motions explain.
         held_out_agreement: the same for each run with the motions found from the others.
         nominal_agreement: the same with the initial motions of the search.
-        decisions: number of decisions.
     """
 
     motion: Float64
@@ -78,7 +77,6 @@ def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: Float64) ->
 
     Args:
         runs: at least two, of the same robot, with DECISIONS_MIN decisions together.
-        robot: the robot of the actions.
         nominal: (a, 3) initial motions; each number is scaled, so zeros stay zero.
     """
     count = sum(len(run.actions) for run in runs)

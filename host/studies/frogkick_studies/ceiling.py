@@ -89,12 +89,7 @@ def rms_error(runs: Sequence[Run], name: str) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class CeilingStudy(Found):
-    """One planner in the pool with three models: a full nearest table, the robot's table, the rods.
-
-    Attributes:
-        depths: search depths.
-        table_bytes: sizes of both tables.
-    """
+    """One planner in the pool with three models: a full nearest table, the robot's table, the rods."""
 
     runs: Sequence[Run]
     depths: Sequence[int]

@@ -146,12 +146,8 @@ def chip_speed(
     """Time decisions of a bench image.
 
     Args:
-        elf: the image.
-        image: its table.
-        paths: paths by name.
         config: configuration of the planner; its depth is not used.
         counts: depth -> number of states, divided among the paths.
-        seed: seed of the states.
         progress: called with (decisions done, all), weighted by the cost of a depth.
 
     Returns:
@@ -329,7 +325,6 @@ class ChipStudy(Found):
         open_ms: time to check the table once, ms.
         limit_ms: depth -> the longest time allowed.
         cycle_model: cycles of each kind of instruction on the virtual chip.
-        seed: seed of the states.
     """
 
     speeds: Mapping[int, DepthSpeed]

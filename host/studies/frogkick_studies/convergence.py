@@ -115,11 +115,7 @@ def _gaits(robot: Robot) -> Sequence[Gait]:
 
 @dataclass(frozen=True, eq=False)
 class ConvergenceStudy(Found):
-    """Error of the rod simulation against its time step.
-
-    Attributes:
-        curves: of strokes and of gaits.
-    """
+    """Error of the rod simulation against its time step."""
 
     curves: Sequence[Curve]
 

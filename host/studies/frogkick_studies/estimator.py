@@ -57,7 +57,6 @@ class EstimatorStudy(Found):
 
     Attributes:
         outcomes: condition of the camera -> method -> errors of its states.
-        seeds: number of runs along each path.
     """
 
     outcomes: Mapping[Condition, Mapping[str, Outcome]]

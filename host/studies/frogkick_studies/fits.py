@@ -64,7 +64,6 @@ class Iteration:
     """An iteration of the forward selection.
 
     Attributes:
-        parameters: names of all parameters.
         gains: way of grouping -> decrease of the mean square error on left-out swims, m^2/s^2, and its 95 %
             interval.
         taken: whether the predictions improve in every way of grouping.
@@ -116,7 +115,6 @@ class Split:
 
     Attributes:
         kind: way of grouping: ``egain``, ``frequency`` or ``folder``.
-        name: name of the training swims.
     """
 
     kind: str
@@ -281,7 +279,6 @@ def fit_rows(
     """Choose and fit effects from some swims.
 
     Args:
-        simulation: simulates the speeds.
         rows: measured swims; one that belongs to two sweeps counts once.
         progress: called with the number of iterations done.
     """

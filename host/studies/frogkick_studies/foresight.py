@@ -81,8 +81,6 @@ def foresee(
     """Plan the whole run along a path, from rest, for each number of decisions.
 
     Args:
-        tables: the model of the actions.
-        path: world frame.
         start_world: x_m, y_m, heading_rad of the robot.
         breadth: number of plans that are kept for each part of the path and number of decisions.
 
@@ -230,8 +228,6 @@ class ForesightStudy(Found):
     """The offline bound of a path: least distance, and progress.
 
     Attributes:
-        name: its name as it was given.
-        tables: the model of the actions.
         plans: the best plans, from fast to near.
         at_least_mps: requested progress; None: none.
     """

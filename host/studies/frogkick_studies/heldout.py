@@ -57,9 +57,6 @@ class HeldOut:
     """The result for one test run.
 
     Attributes:
-        run: its file.
-        verdict: the verdict of identification from the others.
-        effects: titles of the effects identified from the others.
         before, after: errors one period ahead on this run, nominal and with these effects.
         noise_floor: error that the noise of the fixes alone causes.
         followed: the same as ``after``, with the drift of limbs tracked within the run as well.
@@ -203,7 +200,6 @@ class HeldOutStudy(Found):
     """Each run predicted by the effects that all others show.
 
     Attributes:
-        rows: results for each run.
         left_out: runs that were not used: ``run`` and ``reason`` of each.
     """
 

@@ -38,7 +38,6 @@ class HistoryResult:
     """Errors of affine tables of 64 KiB on unseen states of swims with random strokes; see ``error_on``.
 
     Attributes:
-        variant: variant of the robot.
         restarted: table of transitions that begin as rigid bodies with limbs at rest.
         without: table of transitions that begin during strokes, without limb use as an input.
         with_use: the same with limb use as an input.
@@ -58,14 +57,7 @@ class HistoryResult:
 def history_worth(
     robot: Robot, states: int, test_states: int, seed: int, progress: Progress = lambda _done, _all: None
 ) -> list[HistoryResult]:
-    """Measure the three tables for each of VARIANTS.
-
-    Args:
-        robot: the robot as it is.
-        states: number of states of each library.
-        test_states: number of unseen states.
-        seed: seed of the libraries; the unseen states have the next one.
-    """
+    """Measure the three tables for each of VARIANTS."""
     results: list[HistoryResult] = []
     steps = itertools.count()
 
@@ -111,12 +103,7 @@ def _restarted(robot: Robot, library: Library) -> Library:
 
 @dataclass(frozen=True, eq=False)
 class HistoryStudy(Found):
-    """Error of affine tables with and without limb use as an input.
-
-    Attributes:
-        results: for this robot and tiring ones.
-        seed: seed of the states.
-    """
+    """Error of affine tables with and without limb use as an input."""
 
     results: Sequence[HistoryResult]
     seed: int

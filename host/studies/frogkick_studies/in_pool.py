@@ -103,9 +103,7 @@ class Setting:
     """A world by name, which is made again for each run, because effects may have a state.
 
     Attributes:
-        name: name in reports and results.
         tables: tables of its effects, as in a world's TOML file.
-        folder: folder of the files of its effects.
         sha256: hash of all that it is made of, hexadecimal.
     """
 
@@ -132,7 +130,6 @@ class Planner:
     """One of the planners that are compared.
 
     Attributes:
-        name: name in reports.
         table: name of its table for ``run_cases``: PAPER (all states of the paper's, nearest), ROBOT.
         config: cost, weights, depth.
         own: whether the cost is the robot's own.
@@ -151,8 +148,6 @@ class Course:
     """A path, and the pose of the robot at rest when its run begins.
 
     Attributes:
-        name: name in reports and results.
-        path: world frame.
         start_world: x_m, y_m, heading_rad of the robot.
     """
 
@@ -180,7 +175,6 @@ class Summary:
     """Runs of one planner over the seeds, along one path in one world.
 
     Attributes:
-        world, path, planner: names.
         mean_distance_m, progress_mps: means over the seeds.
         deviation_m: standard deviation of the mean distance over the seeds.
         completed: share of the runs.
@@ -211,8 +205,6 @@ def run_cases(
     Args:
         robot: the robot of pool and firmware, without the effects of its file.
         tables: name of a table in ``planners`` -> table image.
-        planners, settings: planners and worlds of the cases.
-        out: folder for results and firmware.
         courses: further paths of the cases besides shapes.
     """
     libraries = {

@@ -128,7 +128,6 @@ def judge(rows: Sequence[Summary], world: str, planners: Sequence[Planner], dept
 
     Args:
         rows: result of ``summaries``; the first planner is the paper's.
-        planners: all planners of the rows.
         depth: the robot's own depth.
     """
     distance_m, progress_mps = {}, {}
@@ -159,8 +158,6 @@ class PlannersCompared(Found):
     Attributes:
         rows: means over the seeds, for each planner along each path in each world.
         verdicts: for each world whether the requirements are met.
-        planners: names of the planners.
-        table_bytes: sizes of both tables.
     """
 
     outcomes: Mapping[Case, Outcome]

@@ -34,8 +34,6 @@ class OpenLoopStudy(Found):
     """Effects fitted to some groups of measured swims, and their predictions of the others.
 
     Attributes:
-        nominal: the robot without them.
-        found: each split of the swims.
         robots: TOML file of the nominal robot with the fitted effects, for each split; empty: not written.
     """
 

@@ -59,7 +59,6 @@ class Run:
     """One run.
 
     Attributes:
-        path, source, depth, seed: path, model, depth and seed.
         mean_distance_m: mean distance of the true poses to the path, from the first decision on.
         progress_mps: progress along it, from the first decision to the end of the run.
         ended: reason of its end, a value of ``End`` or TIME.
@@ -102,7 +101,6 @@ def follow_paths(
     Args:
         robot: the robot, with its planner's cost and weights.
         images: NEAREST and AFFINE -> table image. The estimator uses the affine one.
-        paths: names of shapes.
         depths: search depths, 1 to 3; with the rods each level takes 9 times as long.
         seeds: number of seeds, of the camera's noise and of the start.
         limit_s: time limit of a run in pool time, s.
@@ -326,7 +324,6 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
     """Let copies of swimming robots try every sequence of actions.
 
     Args:
-        robot: the robot of the actions.
         batch, acting: the robots at a decision; they are not changed.
         depth: number of actions in a sequence.
 

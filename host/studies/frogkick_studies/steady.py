@@ -28,7 +28,6 @@ class Free:
     """A parameter that may be fitted.
 
     Attributes:
-        effect, parameter: names in the catalogue.
         width: standard deviation of the prior; for a factor that of its logarithm.
         factor: whether it multiplies, and is fitted by its logarithm.
         expected: mean of the prior, in widths from the nominal model.

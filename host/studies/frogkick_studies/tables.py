@@ -37,7 +37,6 @@ class TablePoint:
     """One table.
 
     Attributes:
-        kind: "nearest" or "affine".
         library_states: number of states of the library, or of its part.
         bytes: size of the image.
         states: number of states in the image.
@@ -88,8 +87,6 @@ def table_sizes(
     """Make tables of several sizes from a library, and measure each on unseen states.
 
     Args:
-        library: a library, as large as possible.
-        test_states: number of unseen states of each sampling, box and swims.
         seed: seed of their sampling, not that of the library.
         swims: "planned" or "visited", see ``sample_starts``.
     """

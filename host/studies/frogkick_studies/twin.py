@@ -73,7 +73,6 @@ class Recorded:
     """A recorded run, whose path the twin follows again.
 
     Attributes:
-        course: its path, from the pose of the robot before its first stroke.
         choices: the decisions of its planner.
         mean_distance_m, progress_mps: from its fixes, from the first stroke on.
     """

@@ -110,12 +110,8 @@ def run_cases(
     """Run every case; those that ``out`` holds already, of the same code, are not run again.
 
     Args:
-        robot: nominal.
         tables: what the robot plans with.
-        cases: what to run.
         out: folder for results, firmware and the outside effects' file.
-        workers: processes.
-        progress: called with cases done and to do.
         laws: search laws in all groups.
     """
     out.mkdir(parents=True, exist_ok=True)
@@ -219,11 +215,7 @@ def over_floor(train: Sequence[Segments], test: Sequence[Segments], robot: Robot
 
 @dataclass(frozen=True, eq=False)
 class VerdictStudy(Found):
-    """Effects planted in simulated pools, and what identification made of the runs.
-
-    Attributes:
-        results: each case.
-    """
+    """Effects planted in simulated pools, and what identification made of the runs."""
 
     results: Mapping[Case, Result]
 

@@ -44,7 +44,6 @@ class LeftOut:
     """A series over phase, predicted by a wake that was fitted to the others.
 
     Attributes:
-        name: alloy and frequency.
         before_mps, after_mps: root mean square of measured minus predicted about the series' own level,
             without and with the wake.
     """
@@ -60,7 +59,6 @@ class WakeStudy(Found):
 
     Attributes:
         share, memory_s: fitted to all series.
-        left_out: each series in turn.
         levels_mps: mean of measured minus predicted of each alloy and frequency.
         gait: alloy and frequency of the prediction.
         rods_mps: (10,) speed of the rods over PHASES.

@@ -242,8 +242,6 @@ class WaterStudy(Found):
     """Each hypothesis, the nominal robot first.
 
     Attributes:
-        rows: one for each.
-        run_names: the recorded runs.
         predictions: one for each limb profile of a fraction without a measured swim, at phase 0.5.
     """
 

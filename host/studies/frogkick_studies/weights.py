@@ -115,8 +115,6 @@ def swim(
 
     Args:
         planner: in C, which answers with the twin's bits, and sooner.
-        runs: number of runs side by side.
-        seed: of the noise.
         astray: where they begin, as in ``ASTRAY``.
         last: only so many of each run's last decisions count for its distance.
     """

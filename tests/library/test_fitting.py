@@ -14,7 +14,7 @@ from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, SIZE, Known
 
 from frogkick.core.errors import InputError
 from frogkick.library import Library, error_on, fit_table, fitting, quantise
-from frogkick.library.error import looked_up
+from frogkick.library.fitting import looked_up
 from frogkick.library.surface import History
 from frogkick.library.transitions import HISTORY, RESTED, Failed
 from frogkick.tables.image import Tables, open_image

@@ -26,7 +26,7 @@ from frogkick.identification.retune import BEFORE, ROBOT, TABLES, Retuned, requi
 from frogkick.identification.segments import reliable, segments_of
 from frogkick.identification.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table
-from frogkick.library.error import looked_up
+from frogkick.library.fitting import looked_up
 from frogkick.paths import SHAPES
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.trial import trials

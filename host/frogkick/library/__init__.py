@@ -10,8 +10,7 @@ from frogkick.library.build import (
     sample_library,
     truncate_library,
 )
-from frogkick.library.error import error_on
-from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, default_table, fit_table
+from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, default_table, error_on, fit_table
 from frogkick.library.sampling import SAMPLINGS, sample_starts
 from frogkick.library.store import (
     Library,

@@ -26,7 +26,7 @@ from frogkick.der.strokes import interpolate
 from frogkick.effects import ActingLanes, rods_of
 from frogkick.estimator.estimator import Estimator
 from frogkick.estimator.follow import End, Follow
-from frogkick.library.error import looked_up
+from frogkick.library.fitting import looked_up
 from frogkick.library.transitions import fire_action, lane_effects, previous_actions
 from frogkick.paths import Path, shape
 from frogkick.planner.plan import PlanConfig, config_of, plan

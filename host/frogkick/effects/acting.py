@@ -54,7 +54,7 @@ def body_effects(robot: Robot) -> tuple[Effect, ...]:
     return tuple(
         effect.likeliest()
         for effect in effects_of(robot)
-        if not _overrides(effect, "flow") and (effect.in_tables or not isinstance(effect, Law))
+        if not effect.overrides("flow") and (effect.in_tables or not isinstance(effect, Law))
     )
 
 
@@ -79,8 +79,8 @@ class ActingLanes:
         self.histories = [History() for _ in rngs]
         self._names = [limb.name for limb in robot.limbs]
         self._rngs = list(rngs)
-        self._flows = [effect for effect in effects if _overrides(effect, "flow")]
-        self._wrenches = [effect for effect in effects if _overrides(effect, "wrench")]
+        self._flows = [effect for effect in effects if effect.overrides("flow")]
+        self._wrenches = [effect for effect in effects if effect.overrides("wrench")]
         self._uniform = all(effect.uniform for effect in self._flows)
         self.leg_s = leg_s if self._flows or self._wrenches else math.inf
         self.asks_body = any(effect.asks_body for effect in effects)
@@ -247,10 +247,6 @@ def body_at(time_s: float, pose: Float64, velocity: Float64) -> Body:
     x, y, heading = (float(value) for value in pose)
     forward, left, omega = (float(value) for value in velocity)
     return Body(time_s, (x, y, heading), (forward, left, omega))
-
-
-def _overrides(effect: Effect, hook: str) -> bool:
-    return getattr(type(effect), hook) is not getattr(Effect, hook)
 
 
 def _numbers(effect: Effect, hook: str, given: object, count: int) -> Sequence[float]:

@@ -136,6 +136,9 @@ class Effect:
         about: the physics, in one line.
         shown_by: data that could show it, in one line.
         joint_only: it can only be identified jointly with other such effects, from many runs.
+        uniform: its flow is the same everywhere; it is then evaluated at one place only.
+        asks_body: strokes depend on the robot's pose and velocity, so that ``Stroke.body`` is needed.
+        stiff: its wrench changes considerably within tens of milliseconds.
     """
 
     name: ClassVar[str] = ""
@@ -144,6 +147,7 @@ class Effect:
     about: ClassVar[str] = ""
     shown_by: ClassVar[str] = ""
     joint_only: ClassVar[bool] = False
+    uniform = asks_body = stiff = False
 
     def __init_subclass__(cls) -> None:
         declared = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter)}
@@ -170,21 +174,6 @@ class Effect:
             if value is None:
                 raise InputError(f"effect {self.title!r} needs {option!r}: give it")
             setattr(self, option, value)
-
-    @property
-    def uniform(self) -> bool:
-        """Whether its flow is the same everywhere; it is then evaluated at one place only."""
-        return False
-
-    @property
-    def asks_body(self) -> bool:
-        """Whether strokes depend on the robot's pose and velocity, so that ``Stroke.body`` is needed."""
-        return False
-
-    @property
-    def stiff(self) -> bool:
-        """Whether its wrench changes considerably within tens of milliseconds."""
-        return False
 
     @property
     def title(self) -> str:
@@ -218,7 +207,11 @@ class Effect:
     def in_tables(self) -> bool:
         """Whether a table of transitions can hold it: it acts on the body, and depends on velocities and
         strokes but not on place, heading or time."""
-        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in IN_BODY)
+        return any(self.overrides(hook) for hook in IN_BODY)
+
+    def overrides(self, hook: str) -> bool:
+        """Return whether it has its own method of a name, such as "flow"."""
+        return getattr(type(self), hook) is not getattr(Effect, hook)
 
     def likeliest(self) -> Effect:
         """Return the effect without randomness, as it most likely acts; predictions use it."""

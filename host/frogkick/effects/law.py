@@ -70,6 +70,7 @@ class Law(Effect):
     Attributes:
         formulas: text of each formula, by the names of CHANNELS.
         names: the variables and parameters that the formulas use.
+        by_chance: whether the formulas depend on chance.
     """
 
     name = "law"
@@ -135,6 +136,9 @@ class Law(Effect):
         }
         self.names = frozenset().union(*(formula.names for formula in self._formulas.values()))
         self._others = sorted(self.names - set(known))
+        self.uniform = not self.names & {"x_m", "y_m"}
+        self.asks_body = on == "stroke" and bool(self.names & (set(_BODY) - {"time_s"}))
+        self.by_chance = "chance" in self.names
         self._given = {p.name: self.value(p.name) for p in self.parameters}
         self._limbs: dict[str, int] = {}
         self._drawn = True
@@ -147,30 +151,15 @@ class Law(Effect):
     @property
     def table(self) -> dict[str, Any]:
         """Its keys as an ``[[effect]]`` table, with values and bounds of its parameters."""
-        declared = {
-            p.name: {"value": self.value(p.name), "unit": p.unit, "low": p.low, "high": p.high}
-            for p in self.parameters
-        }
+        bounds = {p.name: {"unit": p.unit, "low": p.low, "high": p.high} for p in self.parameters}
+        declared = {name: {"value": self.value(name), **each} for name, each in bounds.items()}
         limb = {"limb": self.limb} if self.on == "stroke" else {}
         named = {"title": self._title} if self._title != "law" else {}
         return {"name": "law", **named, "on": self.on, **limb, **self.formulas, "parameters": declared}
 
     @property
-    def uniform(self) -> bool:
-        return not self.names & {"x_m", "y_m"}
-
-    @property
-    def asks_body(self) -> bool:
-        return self.on == "stroke" and bool(self.names & (set(_BODY) - {"time_s"}))
-
-    @property
     def in_tables(self) -> bool:
         return self.on in ("wrench", "stroke") and not self.names & set(NOT_IN_TABLES)
-
-    @property
-    def by_chance(self) -> bool:
-        """Whether its formulas depend on chance."""
-        return "chance" in self.names
 
     def likeliest(self) -> Effect:
         if not self.by_chance:
@@ -224,14 +213,12 @@ class _OnStroke(Law):
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         if self.limb not in (ALL, stroke.limb):
             return stroke
+        body = stroke.body or Body(stroke.time_s, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         values = {
-            **self._given,
-            **_seen(stroke.body or Body(stroke.time_s, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
-            "time_s": stroke.time_s,
-            "strokes": float(history.pulses),
+            **self._given, **_seen(body), "time_s": stroke.time_s, "strokes": float(history.pulses),
             "since_s": min(history.since_s(stroke.index, stroke.time_s), LONG_AGO_S),
             "chance": self._chance(rng),
-        }
+        }  # fmt: skip
         for name in self._others:
             if name not in self._limbs:
                 raise InputError(

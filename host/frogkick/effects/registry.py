@@ -45,7 +45,7 @@ def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
     """
     values = {key: value for key, value in table.items() if key not in ("name", "file", "class")}
     if "file" in table:
-        return _construct(effect_class(folder / str(table["file"]), table.get("class")), values)
+        return _own(folder / str(table["file"]), table.get("class"), values)
     name = str(table.get("name"))
     if name not in BUILT_IN:
         raise InputError(
@@ -105,25 +105,20 @@ def effect_classes(path: Path) -> list[type]:
     ]
 
 
-def effect_class(path: Path, name: object) -> type:
-    """Return one effect of a Python file; without a name, its only one.
+def _own(path: Path, name: object, values: dict[str, Any]) -> Effect:
+    """Make an effect of a user's file; without a name, its only one.
 
-    Raises:
-        InputError: see effect_classes; or no such class.
+    A class that does not inherit from Effect is combined with it.
     """
     kinds = {kind.__name__: kind for kind in effect_classes(path)}
     if name is None and len(kinds) == 1:
-        return next(iter(kinds.values()))
+        (name,) = kinds
     if name not in kinds:
         raise InputError(
             f"effect file {str(path)!r} has no effect class {name!r}{nearest_name(str(name), kinds)}: "
             f"it has {', '.join(kinds) or 'none'}; give 'class'"
         )
-    return kinds[str(name)]
-
-
-def _construct(kind: type, values: dict[str, Any]) -> Effect:
-    """Make a user's effect; a class that does not inherit from Effect is combined with it."""
+    kind = kinds[str(name)]
     if not issubclass(kind, Effect):
         kind = type(kind.__name__, (kind, Effect), {"__init__": kind.__init__})
     try:

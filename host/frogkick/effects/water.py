@@ -27,14 +27,11 @@ class SteadyCurrent(Effect):
     """A uniform current."""
 
     name = "steady_current"
+    uniform = True
     about = "the water moves at one velocity everywhere"
     shown_by = "the same residual in the world's frame whatever the heading; swims in opposite headings"
     x_mps = parameter("m/s", -0.03, 0.03, 0.0, "along world x")
     y_mps = parameter("m/s", -0.03, 0.03, 0.0, "along world y")
-
-    @property
-    def uniform(self) -> bool:
-        return True
 
     def flow(self, time_s: float, position_world_m: Float64) -> Sequence[float]:
         return (self.x_mps, self.y_mps)
@@ -153,11 +150,8 @@ class SteadyWrench(Effect):
 
 
 OUTWARD: Mapping[str, tuple[float, float]] = {
-    "x_low": (-1.0, 0.0),
-    "x_high": (1.0, 0.0),
-    "y_low": (0.0, -1.0),
-    "y_high": (0.0, 1.0),
-}
+    "x_low": (-1.0, 0.0), "x_high": (1.0, 0.0), "y_low": (0.0, -1.0), "y_high": (0.0, 1.0),
+}  # fmt: skip
 """Sides of a pool with walls along the world's axes: the direction from the water towards the wall."""
 
 REACH_M = 0.08
@@ -205,16 +199,13 @@ class Wall(Effect):
 
     def __init__(self, **values: object) -> None:
         super().__init__(**values)
+        self.stiff = self.hardness > 0.0
         if self.side not in OUTWARD:
             raise InputError(
                 f"effect {self.title!r}: side is {self.side!r}{nearest_name(str(self.side), OUTWARD)}: "
                 f"choose from {', '.join(OUTWARD)}"
             )
         self._corners = [(_HALF_M * x, _HALF_M * y) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-
-    @property
-    def stiff(self) -> bool:
-        return self.hardness > 0.0
 
     def check(self, robot: Robot) -> None:
         """Take the robot's size."""

@@ -6,15 +6,6 @@ from frogkick.paths.path import POINTS_MAX, Path
 from frogkick.paths.shapes import OTHER_SHAPES, SHAPES, ellipse, from_waypoints, line, shape, sine
 
 __all__ = [
-    "OTHER_SHAPES",
-    "POINTS_MAX",
-    "SHAPES",
-    "Path",
-    "ellipse",
-    "from_csv",
-    "from_waypoints",
-    "line",
-    "shape",
-    "sine",
-    "wrap_angle",
-]
+    "OTHER_SHAPES", "POINTS_MAX", "SHAPES", "Path", "ellipse", "from_csv", "from_waypoints", "line", "shape",
+    "sine", "wrap_angle",
+]  # fmt: skip

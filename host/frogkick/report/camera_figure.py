@@ -53,17 +53,20 @@ INCH_MM = 25.4
 DPI = 600
 
 
-def tag_figure(cells: Float32, margin: int, size_m: float, name: str) -> Figure:
-    """Draw a tag; a page of the figure's size shows it at true scale.
+def write_tag_page(
+    cells: Float32, margin: int, size_m: float, name: str, target: Path
+) -> tuple[float, float]:
+    """Draw a tag on a page that shows it at true scale, and return the page's width and height in m.
 
     Args:
         cells: (n, n), 0 black, 1 white, row 0 the picture's top.
         margin: cells outside of the square whose side is the tag's size.
         size_m: that side.
         name: of the tag.
+        target: picture to write.
 
     Raises:
-        InputError: a size that fits no page.
+        InputError: a size that fits no page; see also ``style.write_picture``.
     """
     whole = 1e3 * size_m * len(cells) / (len(cells) - 2 * margin)
     if not 1.0 <= whole <= MOST_MM:
@@ -90,18 +93,6 @@ def tag_figure(cells: Float32, margin: int, size_m: float, name: str) -> Figure:
             axes.plot([ruler + step] * 2, [14.5, 17.5], color="black", lw=0.7)
         legend = f"{RULER_MM:g} mm: if it is not, print at 100 %\n{name}, size {1e3 * size_m:g} mm"
         axes.text(middle, 12.0, legend, ha="center", va="top", fontsize=7)
-    return figure
-
-
-def write_tag_page(
-    cells: Float32, margin: int, size_m: float, name: str, target: Path
-) -> tuple[float, float]:
-    """Write that page and return its width and height in m.
-
-    Raises:
-        InputError: see ``tag_figure`` and ``style.write_picture``.
-    """
-    figure = tag_figure(cells, margin, size_m, name)
     style.write_picture(figure, target, dpi=DPI)
     width_in, height_in = figure.get_size_inches()
     return 1e-3 * INCH_MM * float(width_in), 1e-3 * INCH_MM * float(height_in)

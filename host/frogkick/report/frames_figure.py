@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,15 +36,6 @@ def frames_figure() -> Figure:
         _beside(figure.add_subplot(grid[0, 1]))
         _units(figure.add_subplot(grid[1, :]))
     return figure
-
-
-def write_frames_figure(target: Path) -> None:
-    """Draw it into a picture file.
-
-    Raises:
-        InputError: see ``style.write_picture``.
-    """
-    style.write_picture(frames_figure(), target, dpi=90)
 
 
 def _arrow(axes: Axes, start: np.ndarray, end: np.ndarray, colour: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,20 +62,23 @@ class Periods:
         return world_from_body(self.pose[:, 2], residuals) if pool else residuals
 
 
+DEPENDS: Mapping[str, tuple[str, str]] = {
+    "chance": ("chance", "chance"), "x_m": ("place", "place"), "y_m": ("place", "place"),
+    "time_s": ("time", "time"), "heading_rad": ("heading", "heading"), "forward_mps": ("speed", "speed"),
+    "left_mps": ("speed", "speed"), "turn_radps": ("speed", "turning"),
+    "strokes": ("time", "the number of strokes"),
+}  # fmt: skip
+"""Variable of a formula -> what runs must contain to show a law with it (a key of ``laws.NEEDS``), and the
+variable in words. The first one in a law is what it mainly depends on."""
+
+
 def depends_on(law: Law) -> str:
     """Return a key of NEEDS: what a law mainly depends on."""
-    if "chance" in law.names:
-        return "chance"
-    if law.names & {"x_m", "y_m"}:
-        return "place"
-    if "time_s" in law.names:
-        return "time in cycles" if "cycle" in law.names else "time"
-    if "heading_rad" in law.names:
-        return "heading"
-    if law.names & {"forward_mps", "left_mps", "turn_radps"}:
-        return "speed"
-    if "strokes" in law.names:
-        return "time"
+    main = next((name for name in DEPENDS if name in law.names), "")
+    if main == "time_s" and "cycle" in law.names:
+        return "time in cycles"
+    if main:
+        return DEPENDS[main][0]
     if "since_s" in law.names:
         return "rest"
     return "limbs" if law.on == "stroke" else "heading"

@@ -12,7 +12,7 @@ from frogkick.core.errors import InputError
 from frogkick.effects import Law
 from frogkick.effects.law import CHANNELS
 from frogkick.identification.outcome import Outcome
-from frogkick.report.law_figures import Periods, depends_on, law_figure, periods_of
+from frogkick.report.law_figures import DEPENDS, Periods, depends_on, law_figure, periods_of
 from frogkick.report.page import Section
 
 ACTS = 0.1
@@ -80,11 +80,6 @@ WHAT: Mapping[str, str] = {
     "stroke": "A change of the strokes of LIMB",
     "fix": "An error of the fixes",
 }
-ON_WHAT: Mapping[str, str] = {
-    "x_m": "place", "y_m": "place", "heading_rad": "heading", "time_s": "time", "forward_mps": "speed",
-    "left_mps": "speed", "turn_radps": "turning", "strokes": "the number of strokes", "chance": "chance",
-}  # fmt: skip
-
 NEEDS: Mapping[str, str] = {
     "place": "runs that cross the place from several sides and also keep away from it; a spring needs ten "
     "periods with the cable taut",
@@ -109,7 +104,7 @@ def sentence_of(law: Law) -> str:
     except KeyError:  # a user's law, under any title
         since = sorted(name for name in law.names if name.startswith("since_") and name != "since_s")
         others = [name.removeprefix("since_").removesuffix("_s") for name in since]
-        on = {ON_WHAT[name] for name in law.names if name in ON_WHAT}
+        on = {words for name, (_, words) in DEPENDS.items() if name in law.names}
         if others:
             on.add(f"how long ago {' and '.join(others)} fired")
         sentence = f"{WHAT[law.on]}" + (f" that depends on {' and '.join(sorted(on))}." if on else ".")

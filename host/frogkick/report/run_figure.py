@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,7 +30,8 @@ def run_figure(run: RunLog, title: str) -> Figure:
     Raises:
         InputError: the run has no fixes, or no decisions.
     """
-    seen = _Seen.of(run)
+    time_s, poses, by = track_of(run)
+    seen = _Seen(time_s, poses, style.TRUE if by == "truth" else style.MEASURED)
     panels: list[Callable[[Axes, RunLog, _Seen], None]] = [_distance] if run.path is not None else []
     panels.append(_actions)
     if run.truth is not None and run.decisions.estimate is not None:
@@ -50,28 +51,12 @@ def run_figure(run: RunLog, title: str) -> Figure:
     return figure
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Poses of the robot from the first decision on, by the truth or by fixes.
-
-    Attributes:
-        time_s: (n,).
-        poses: (n, 3).
-        colour: colour of the source of the poses.
-    """
+class _Seen(NamedTuple):
+    """Times (n,) and poses (n, 3) from the first decision on, by the truth or by fixes, and their colour."""
 
     time_s: Float64
     poses: Float64
     colour: str
-
-    @classmethod
-    def of(cls, run: RunLog) -> _Seen:
-        time_s, poses, by = track_of(run)
-        return cls(time_s, poses, style.TRUE if by == "truth" else style.MEASURED)
-
-    def at(self, time_s: Float64) -> Float64:
-        """(n, 2) positions at times."""
-        return np.column_stack([np.interp(time_s, self.time_s, self.poses[:, k]) for k in range(2)])
 
 
 def _beside(points: Float64) -> Float64:
@@ -95,7 +80,8 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     if run.truth is not None:
         track = 100.0 * run.truth.pose_world[:, :2]
         axes.plot(*track.T, color=style.TRUE, linewidth=1.5, label="true track")
-    here = 100.0 * seen.at(run.decisions.time_s)
+    ways = (np.interp(run.decisions.time_s, seen.time_s, column) for column in seen.poses[:, :2].T)
+    here = 100.0 * np.column_stack(list(ways))
     names = run.decided()
     axes.plot(*here.T, "o", color=seen.colour, markersize=3)
     words = any(len(name) > 1 for name in names)

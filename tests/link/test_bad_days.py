@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,6 @@ from frogkick.runs import session as session_module
 from frogkick.runs.closed_loop import ENDED, FixSource, Recording, RunOptions, run_session
 from frogkick.runs.lab_session import CLOCK_SAMPLES, LabPort, LabSession, lab_session
 from frogkick.runs.live_log import LiveLog, logged, part_of
-from frogkick.runs.runlog import Fixes
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
 from frogkick.runs.tracked_fixes import CameraFixes
@@ -255,11 +255,11 @@ def test_the_disk_is_full_while_the_robot_runs(tmp_path: Path, monkeypatch: pyte
         part = part_of(tmp_path / "run.h5")
         write, written = LiveLog._write, 0
 
-        def write_on_a_full_disk(self: LiveLog, rows: list[object]) -> None:
+        def write_on_a_full_disk(self: LiveLog, rows: list[tuple[str, object, Any]]) -> None:
             nonlocal written
             if written < 12:
                 write(self, rows)
-                written += sum(len(one) for one in rows if isinstance(one, Fixes))
+                written += sum(len(values) for name, _, values in rows if name == "fixes/time_s")
                 return
             with files_up_to(part.stat().st_size):
                 write(self, rows * 300)  # more than a chunk, which needs room

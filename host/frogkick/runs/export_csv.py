@@ -12,9 +12,10 @@ from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from frogkick.core.arrays import AnyArray
 from frogkick.core.files import atomic_path
+from frogkick.paths import Path
 from frogkick.runs.runlog import RunLog
 
 
@@ -61,51 +62,35 @@ def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
 
 
 _STATE = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_radps")
-_PARTS = {
-    "estimate": _STATE,
-    "predicted": _STATE,
-    "pose_world": _STATE[:3],
-    "velocity_body": _STATE[3:],
-}
+_PARTS = {"estimate": _STATE, "predicted": _STATE, "pose_world": _STATE[:3], "velocity_body": _STATE[3:]}
 
 
-def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, AnyArray]]]:
     """Each group of a log with its columns, one-dimensional, by name."""
     for group in (run.fixes, run.decisions, run.strokes, run.truth):
         if group is None:
             continue
-        columns: dict[str, NDArray[Any]] = {}
-        for name in group.columns():
-            _spread(columns, name, getattr(group, name))
-        for name, values in sorted(group.extra.items()):
-            _spread(columns, name, values)
+        columns: dict[str, AnyArray] = {}
+        for name, values in group.all_columns().items():
+            if values.ndim == 1:
+                columns[name] = values
+                continue
+            parts = _PARTS.get(name, range(values.shape[1]))  # one column for each number of a row
+            columns |= {f"{name}_{part}": values[:, k] for k, part in enumerate(parts)}
         if group is run.decisions:
             columns["action_name"] = np.array(run.decided(unseen=""), dtype=object)
         yield group.NAME, columns
     if run.path is not None:
-        yield (
-            "path",
-            {"x_m": run.path.x_m, "y_m": run.path.y_m, "tangent_rad": run.path.tangent_rad},
-        )
+        yield "path", _points(run.path)
     for number, change in enumerate(run.then, start=1):
-        path = change.path
-        rows = np.full(len(path), change.decision)
         yield (
             f"then_{number}",
-            {"decision": rows, "x_m": path.x_m, "y_m": path.y_m, "tangent_rad": path.tangent_rad},
+            {"decision": np.full(len(change.path), change.decision), **_points(change.path)},
         )
 
 
-def _spread(columns: dict[str, NDArray[Any]], name: str, values: NDArray[Any] | None) -> None:
-    """Add a dataset as one column, or as one for each of its numbers."""
-    if values is None:
-        return
-    if values.ndim == 1:
-        columns[name] = values
-        return
-    parts = _PARTS.get(name, tuple(str(k) for k in range(values.shape[1])))
-    for k, part in enumerate(parts):
-        columns[f"{name}_{part}"] = values[:, k]
+def _points(path: Path) -> dict[str, AnyArray]:
+    return {"x_m": path.x_m, "y_m": path.y_m, "tangent_rad": path.tangent_rad}
 
 
 def _cell(value: Any) -> Any:

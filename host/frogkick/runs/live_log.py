@@ -8,20 +8,22 @@ from __future__ import annotations
 import math
 import pathlib
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import h5py
 import numpy as np
 
+from frogkick.core.arrays import AnyArray
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
 from frogkick.paths import Path
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.record import LEARN, decision_columns, fix_columns, run_log
-from frogkick.runs.runlog import Decisions, Fixes, PathChange, RunLog
+from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import fill
 from frogkick.tables.image import Tables
 
@@ -33,21 +35,9 @@ HOLDS_MAX = 200
 CUT_OFF = "cut off while it ran"
 
 
-@dataclass(frozen=True)
-class _Answer:
-    """The robot's answer to the fix of an earlier row."""
-
-    row: int
-    capture_us: int
-    status: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """A path that took over, the ``number``-th."""
-
-    number: int
-    change: PathChange
+_Write = tuple[str, Any, Any]
+"""A dataset, a place in it (None: after its end; _WHOLE: instead of what it holds), and the values there."""
+_WHOLE = slice(None)
 
 
 def part_of(target: pathlib.Path) -> pathlib.Path:
@@ -82,7 +72,7 @@ class LiveLog:
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
         self._written = Bell()
-        self._waiting: list[Fixes | Decisions | _Answer | _Change] = []
+        self._waiting: list[_Write] = []
         self._writing = self._closing = False
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._live, name="log", daemon=True)
@@ -96,22 +86,33 @@ class LiveLog:
         """
         if self._error is not None:
             raise self._full() from self._error
-        new, decided = len(recording.fixes) - self._fixes, len(recording.decisions) - self._decisions
-        answered = [row for row in self._unanswered if recording.fix_status[row] is not None]
-        if not (new or decided or answered):
-            return
-        rows: list[Fixes | Decisions | _Answer | _Change] = []
-        if new or answered:
-            rows += self._new_fixes(recording, answered)
-        if decided:
-            first, self._decisions = self._decisions, len(recording.decisions)
-            rows.append(decision_columns(recording, self._onboard, self._learn, first))
-            changes = list(enumerate(recording.then))[self._changes : self._room]
-            rows += [_Change(number, change) for number, change in changes]
-            self._changes += len(changes)
-        with self._lock:
-            self._waiting += rows
-            self._condition.notify_all()
+        writes: list[_Write] = []
+        first, self._fixes = self._fixes, len(recording.fixes)
+        if self._fixes > first:
+            fixes = fix_columns(recording, first)
+            writes += [(f"fixes/{name}", None, values) for name, values in fixes.all_columns().items()]
+        for row in self._unanswered:
+            if (status := recording.fix_status[row]) is not None:
+                taken_us = recording.capture_us[row]
+                writes.append(("fixes/robot_capture_us", row, -1 if taken_us is None else taken_us))
+                writes.append(("fixes/robot_status", row, status))
+        waiting = [*self._unanswered, *range(first, self._fixes)]
+        self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
+        first, self._decisions = self._decisions, len(recording.decisions)
+        if self._decisions > first:
+            made = decision_columns(recording, self._onboard, self._learn, first)
+            writes += [(f"decisions/{name}", None, values) for name, values in made.all_columns().items()]
+            for number, change in list(enumerate(recording.then))[self._changes : self._room]:
+                self._changes += 1
+                for name in ("x_m", "y_m", "tangent_rad"):
+                    writes.append((f"then/{number}/{name}", _WHOLE, getattr(change.path, name)))
+                if change.hold is not None:
+                    writes.append(("then/hold", number, change.hold))
+                writes.append(("then/decision", number, change.decision))
+        if writes:
+            with self._lock:
+                self._waiting += writes
+                self._condition.notify_all()
 
     def settle(self) -> None:
         """Wait until all rows are on the disk."""
@@ -137,29 +138,16 @@ class LiveLog:
     def _full(self) -> InputError:
         return InputError(f"the log {str(self.path)!r} cannot be continued: is the disk full?")
 
-    def _new_fixes(self, recording: Recording, answered: list[int]) -> list[Fixes | _Answer]:
-        first, self._fixes = self._fixes, len(recording.fixes)
-        rows: list[Fixes | _Answer] = []
-        if self._fixes > first:
-            rows.append(fix_columns(recording, first))
-        for row in answered:
-            taken_us, status = recording.capture_us[row], recording.fix_status[row]
-            assert status is not None
-            rows.append(_Answer(row, -1 if taken_us is None else taken_us, status))
-        waiting = [*self._unanswered, *range(first, self._fixes)]
-        self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
-        return rows
-
     def _live(self) -> None:
         while True:
             with self._lock:
                 self._condition.wait_for(lambda: self._waiting or self._closing)
                 self._writing = True  # before _waiting is emptied: settle reads both without the lock
-                rows, self._waiting = self._waiting, []
-                if not rows:
+                writes, self._waiting = self._waiting, []
+                if not writes:
                     return
             try:
-                self._write(rows)
+                self._write(writes)
             except Exception as error:  # keep and close raise it
                 self._error = error
             with self._lock:
@@ -170,50 +158,24 @@ class LiveLog:
                 # Writing one row takes as long as writing ten, so gather some.
                 self._condition.wait_for(lambda: self._closing, GATHER_S)
 
-    def _write(self, rows: list[Fixes | Decisions | _Answer | _Change]) -> None:
-        """Append and flush new rows, then fill in the answers to earlier ones, and paths that took over."""
-        for kind in (Fixes, Decisions):
-            groups = [group for group in rows if isinstance(group, kind)]
-            if groups:
-                self._append(groups)
-        answers = {answer.row: answer for answer in rows if isinstance(answer, _Answer)}
-        if answers:
-            order = sorted(answers)
-            for name, values in (
-                ("robot_capture_us", [answers[row].capture_us for row in order]),
-                ("robot_status", [answers[row].status for row in order]),
-            ):
-                data = self._file[f"{Fixes.NAME}/{name}"]
-                data[order] = values
-                data.flush()
-        for row in rows:
-            if isinstance(row, _Change):
-                self._write_change(row)
-
-    def _write_change(self, row: _Change) -> None:
-        for name in ("x_m", "y_m", "tangent_rad"):
-            data = self._file[f"then/{row.number}/{name}"]
-            data.resize((len(row.change.path),))
-            data[:] = getattr(row.change.path, name)
-            data.flush()
-        if row.change.hold is not None:
-            self._file["then/hold"][row.number] = row.change.hold
-            self._file["then/hold"].flush()
-        data = self._file["then/decision"]
-        data[row.number] = row.change.decision
-        data.flush()
-
-    def _append(self, groups: Sequence[Fixes | Decisions]) -> None:
-        kind = groups[0]
-        for name in [*kind.columns(), *kind.extra]:
-            if f"{kind.NAME}/{name}" not in self._file:
-                continue  # the host's own planning times are not logged
-            columns = [g.extra[name] if name in g.extra else getattr(g, name) for g in groups]
-            values = np.concatenate(columns)
-            data = self._file[f"{kind.NAME}/{name}"]
+    def _write(self, writes: list[_Write]) -> None:
+        """Append and flush new rows, of fixes first, then what changes in earlier ones, and paths."""
+        appended: dict[str, list[AnyArray]] = {}
+        for name, place, values in writes:
+            if place is None:
+                appended.setdefault(name, []).append(values)
+        for name in sorted(appended, key=lambda name: not name.startswith("fixes/")):
+            values, data = np.concatenate(appended[name]), self._file[name]
             data.resize(len(data) + len(values), axis=0)
             data[len(data) - len(values) :] = values
             data.flush()
+        for name, place, values in writes:
+            if place is not None:
+                data = self._file[name]
+                if place == _WHOLE:
+                    data.resize((len(values),))
+                data[place] = values
+                data.flush()
 
 
 @contextmanager

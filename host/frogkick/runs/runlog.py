@@ -108,6 +108,12 @@ class _Group:
                 f"{self.time_s[row]:.6f} s: sort the rows or cut the run there"
             )
 
+    def all_columns(self) -> dict[str, Array]:
+        """The columns that there are, by name, and after them the extra ones in the order of their names."""
+        own = {name: getattr(self, name) for name in self.columns()}
+        there = {name: values for name, values in own.items() if values is not None}
+        return there | dict(sorted(self.extra.items()))
+
     def _require_rows(self, name: str, values: Array, count: int) -> None:
         if len(values) != count:
             raise InputError(

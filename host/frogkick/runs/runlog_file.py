@@ -145,11 +145,7 @@ def _read(file: h5py.File) -> RunLog:
         )
     path = _read_path(file["path"]) if "path" in file else None
     changed = file["then/decision"][:].tolist() if "then" in file else []
-    holds = (
-        file["then/hold"][:]
-        if "then" in file and "hold" in file["then"]
-        else np.full((len(changed), 3), np.nan)
-    )
+    holds = file["then/hold"][:] if "then/hold" in file else np.full((len(changed), 3), np.nan)
     names = file["decisions/action"].attrs["names"]
     return RunLog(
         robot_id=str(file.attrs["robot_id"]),
@@ -198,20 +194,15 @@ def _numbers(file: h5py.File, title: str) -> dict[str, float]:
 
 def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth, chunk_rows: int) -> None:
     target = file.create_group(group.NAME)
-
-    def write(name: str, values: Any, unit: str) -> None:
+    for name, values in group.all_columns().items():
+        if name in group.columns():
+            unit = group.columns()[name].unit
+        else:
+            unit = next((unit for end, unit in _SUFFIX_UNITS.items() if name.endswith(end)), "1")
         grows: dict[str, Any] = {}
         if chunk_rows:
             grows = {"maxshape": (None, *values.shape[1:]), "chunks": (chunk_rows, *values.shape[1:])}
         target.create_dataset(name, data=values, **grows).attrs["unit"] = unit
-
-    for name, column in group.columns().items():
-        values = getattr(group, name)
-        if values is not None:
-            write(name, values, column.unit)
-    for name, values in sorted(group.extra.items()):
-        unit = next((unit for end, unit in _SUFFIX_UNITS.items() if name.endswith(end)), "1")
-        write(name, values, unit)
 
 
 def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]) -> dict[str, Any]:

@@ -60,7 +60,6 @@ def push(
             "'frogkick push'"
         )
     rest(session)
-    session.authenticate()
     begin_s = session.time_s
     done = upload(session, tables.image, progress)
     return _pushed(session, done.bytes_sent, done.resumed_at, begin_s)
@@ -70,7 +69,6 @@ def roll_back(session: Session) -> Pushed:
     """Let a robot return to its previous table."""
     session.hello()
     rest(session)
-    session.authenticate()
     begin_s = session.time_s
     here = session.request("TABLE_STATUS")
     if here["previous_crc"] == here["running_crc"]:
@@ -92,7 +90,6 @@ def own(session: Session, release: bool = False) -> None:
     """
     session.hello()
     rest(session)
-    session.authenticate()
     key = bytes(KEY_BYTES)
     if not release:
         file = session.key_file or default_key_file()
@@ -102,11 +99,12 @@ def own(session: Session, release: bool = False) -> None:
 
 
 def rest(session: Session) -> None:
-    """Disarm, and wait until all limbs have rested."""
+    """Disarm, wait until all limbs have rested, and authenticate."""
     session.ask("DISARM")  # refused only in a fault, when the outputs are off
     end_s = session.time_s + REST_S
     while session.time_s < end_s:
         session.step(end_s)
+    session.authenticate()
 
 
 def _pushed(session: Session, sent: int, resumed_at: int, begin_s: float) -> Pushed:

@@ -175,9 +175,6 @@ def go_round(
         bar: makes a progress bar.
         paths: names of the paths.
         time_limit_s: time limit of each run in pool time, s.
-
-    Raises:
-        FrogkickError: an error of a stage.
     """
     clock = _StageClock({})
     image = make_tables(robot, out, states, seed, bar, "library: simulate transitions")
@@ -232,9 +229,6 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         seed: seed of the wear, the library and the camera's noise.
         bar: makes a progress bar.
         held_out: path of the test run.
-
-    Raises:
-        FrogkickError: an error of a stage.
     """
     clock = _StageClock(ring.stage_s)
     robot, tables, options = ring.robot, ring.tables, ring.options

@@ -20,7 +20,7 @@ from tests.runs import rig
 import frogkick as fk
 from frogkick.cli.common import show
 from frogkick.core.files import cache_folder
-from frogkick.front import emitted
+from frogkick.front import building
 from frogkick.library import fitting, write_library
 from frogkick.runs.runlog_file import read_run
 from frogkick.tables.image import read_image
@@ -194,9 +194,9 @@ def test_tables_within_a_budget(
 
 def test_codegen(here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     table = rig.small_table()
-    monkeypatch.setitem(emitted.STATES, 1, count(60, 60, 12))
-    monkeypatch.setitem(emitted.STATES, 2, count(30, 30, 6))
-    monkeypatch.setitem(emitted.STATES, 3, count(12, 12, 3))
+    monkeypatch.setitem(building.STATES, 1, count(60, 60, 12))
+    monkeypatch.setitem(building.STATES, 2, count(30, 30, 6))
+    monkeypatch.setitem(building.STATES, 3, count(12, 12, 3))
     done = frogkick(capsys, "codegen", table, "--out", "emitted", "--json")
     assert done.code == 0
     assert sorted(done.json["files"]) == sorted(path.name for path in Path("emitted").iterdir())

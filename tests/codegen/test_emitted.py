@@ -14,7 +14,7 @@ from elftools.elf.elffile import ELFFile
 from tests.codegen import made_up
 from tests.conftest import from_ci, some
 
-from frogkick.front.emitted import measure
+from frogkick.front.building import measure_emitted
 from frogkick.planner.plan import PlanConfig, plan
 from frogkick.tables.image import open_image
 from frogkick_codegen import toolchain
@@ -40,7 +40,7 @@ def emitted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     work = tmp_path_factory.mktemp("emitted")
     image = made_up.image(request.param)
     (work / "t.fkt").write_bytes(image)
-    figures = measure(work / "t.fkt", states=STATES)
+    figures = measure_emitted(work / "t.fkt", states=STATES)
     emit(image, work / "planner", COMMAND, figures=figures)
     return Emitted(image, work / "planner", figures)
 
@@ -162,7 +162,7 @@ def test_the_readme_tells_the_times_that_were_counted(emitted: Emitted) -> None:
 @from_ci
 def test_the_same_table_gives_the_same_figures(emitted: Emitted, tmp_path: Path) -> None:
     (tmp_path / "other.fkt").write_bytes(emitted.image)
-    assert measure(tmp_path / "other.fkt", states=STATES) == emitted.figures
+    assert measure_emitted(tmp_path / "other.fkt", states=STATES) == emitted.figures
 
 
 def test_without_figures_the_directory_says_so(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
 from tests.runs import rig
 
-from frogkick.cli.keys import Keys
+from frogkick.cli.run import Keys
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig

@@ -326,8 +326,7 @@ def flash_firmware(
     """Flash the bench image into a development kit through its debug probe."""
     from frogkick.front.building import flash_firmware as flash
 
-    done = flash(image, table=tables, robot=robot, probe=probe, progress=True)
-    show({"probe": done.probe, "bytes": done.bytes}, json)
+    show(flash(image, table=tables, robot=robot, probe=probe, progress=True), json)
 
 
 def check_firmware(

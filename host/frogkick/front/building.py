@@ -1,14 +1,20 @@
-"""C code and firmware of a table: generate, build, test on the virtual chip, and flash them."""
+"""C code and firmware of a table: generate, build, measure, test on the virtual chip, and flash them.
+
+A compiler that is missing raises a ``ToolchainError``, whose text says what to install.
+"""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
 import weakref
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.extras import require
@@ -16,16 +22,25 @@ from frogkick.core.files import existing_file
 from frogkick.core.progress import Progress, shown
 from frogkick.front.places import built_firmware
 from frogkick.front.tables import Table, load_table
+from frogkick.paths import SHAPES, shape
+from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen.emit import emit
+from frogkick_codegen.figures import DepthTime, Figures
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Firmware, build, require_tools
 from frogkick_codegen.probe import check_image, flash
 
 if TYPE_CHECKING:
     from frogkick.runs.chip_check import ChipReport
+    from frogkick.runs.chip_planner import ChipPlanner
 
 __all__ = ["Firmware", "build_firmware", "emit_c", "flash_firmware", "try_firmware"]
+
+STATES: Mapping[int, int] = {1: 60, 2: 30, 3: 12}
+"""Depth -> number of timed states; this takes seconds, ``frogkick study chip`` takes minutes."""
+_TYPES = ("fk_tables_t", "fk_path_t", "fk_plan_config_t", "fk_state_t", "fk_plan_t")
+_FUNCTIONS = ("fk_plan", "fk_tables_open")
 
 
 def build_firmware(
@@ -40,7 +55,6 @@ def build_firmware(
 
     Raises:
         InputError: an unknown target, invalid limits of the guard, or an image that does not fit.
-        ToolchainError: no compiler here; the text says what to install.
     """
     table = load_table(table)
     place = Path(tempfile.mkdtemp(prefix="frogkick-firmware-")) if out is None else Path(out)
@@ -73,24 +87,93 @@ def emit_c(
     name = table.name if isinstance(table, Table) else Path(table).name
     figures = None
     if measure:
-        from frogkick.front.emitted import measure as measured
-
         with tempfile.TemporaryDirectory(prefix="frogkick-table-") as folder:
             file = Path(folder) / name
             file.write_bytes(image)
             with shown(progress, "measuring") as tell:
-                figures = measured(file, progress=tell)
+                figures = measure_emitted(file, progress=tell)
     return emit(image, out, f"frogkick codegen {name} --out {Path(out).name}", figures=figures)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class FirmwareTrial:
-    """The test of a bench image on the virtual chip: every command, stroke and limit.
+def measure_emitted(
+    image: Path,
+    config: PlanConfig | None = None,
+    states: Mapping[int, int] = STATES,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> Figures:
+    """Generate the C code of a table, build it for the chip, and measure it.
 
-    Attributes:
-        build: sizes of the image; its files are deleted.
-        report: the checks, the planning times, the measured stack and its bound.
+    The same table gives the same figures on every machine.
+
+    Args:
+        image: table image.
+        config: weights; None: the paper's.
+        states: depth -> number of decisions to time.
+        progress: called with the decisions done and their total.
     """
+    # These cannot be loaded without the extra.
+    from frogkick.pool.chip.image import load_image
+    from frogkick.pool.chip.layout import Layouts
+    from frogkick.pool.chip.stack import StackAnalysis
+    from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner
+    from frogkick_codegen.planner_image import NOT_PLANNER, build_planner, compiler_name
+
+    settings = config or PlanConfig()
+    with tempfile.TemporaryDirectory(prefix="frogkick-measure-") as folder:
+        work = Path(folder).resolve()
+        emit(image, work / "emitted", "frogkick codegen", settings)
+        elf = build_planner(work / "emitted", work / "planner.elf")
+        planner = ChipPlanner(elf)
+        times = _times(planner, image, settings, states, progress)
+        stack = StackAnalysis(elf)
+        types = Layouts(elf)
+        compiler, flags = compiler_name()
+        content = load_image(elf)
+        others = {*NOT_PLANNER, "fk_table_bytes", "fk_table_image", "fk_table_image_bytes"}
+        symbols = content.symbols  # the start-up code has no variables
+        variables = (symbols[f"fk_{part}_end"] - symbols[f"fk_{part}_begin"] for part in ("data", "bss"))
+        return Figures(
+            compiler=compiler,
+            flags=flags,
+            code_bytes=sum(size for name, size in content.sizes.items() if name not in others),
+            ram_bytes={name: types[name].itemsize for name in _TYPES},
+            static_bytes=sum(variables),
+            stack_bytes={name: stack.bound(name).total_bytes for name in _FUNCTIONS},
+            open_ms=planner.open_cycles / CYCLES_PER_MS,
+            times=times,
+        )
+
+
+def _times(
+    planner: ChipPlanner,
+    image: Path,
+    config: PlanConfig,
+    states: Mapping[int, int],
+    progress: Callable[[int, int], None],
+) -> dict[int, DepthTime]:
+    """Return the decisions at each depth, spread over the paths, with the most expensive depth first."""
+    from frogkick.runs.chip_planner import CYCLES_PER_MS, states_for_timing
+
+    shares = {depth: -(-states[depth] // len(SHAPES)) for depth in sorted(states, reverse=True)}
+    tables, found, done = read_image(image), {}, 0
+    for depth, share in shares.items():
+        cycles = []
+        for index, name in enumerate(SHAPES):
+            planner.configure(shape(name), config)
+            timed = states_for_timing(tables, shape(name), share, np.random.default_rng([0, depth, index]))
+            depths = np.full(share, depth, dtype=np.int32)
+            cycles.append(planner.plan(timed.states, depths, timed.limb_use, timed.along_points)[1])
+            progress(done := done + share, len(SHAPES) * sum(shares.values()))
+        taken = np.concatenate(cycles)
+        found[depth] = DepthTime(
+            len(taken), float(taken.sum()) / len(taken) / CYCLES_PER_MS, float(taken.max()) / CYCLES_PER_MS
+        )
+    return {depth: found[depth] for depth in states}
+
+
+@dataclass(frozen=True, eq=False)
+class FirmwareTrial:
+    """The test of a bench image on the virtual chip, whose files are deleted."""
 
     build: Firmware
     report: ChipReport
@@ -127,30 +210,11 @@ class FirmwareTrial:
             "stack_bound_bytes": report.stack_bound_bytes,
         }
 
-    def __repr__(self) -> str:
-        held = sum(self.report.checks.values())
-        return (
-            f"FirmwareTrial({held} of {len(self.report.checks)} checks held, "
-            f"flash {self.build.flash_bytes} bytes, stack {self.report.stack_bytes} bytes)"
-        )
-
 
 def try_firmware(
     table: Table | Path | str | None = None, robot: Robot | str | None = None, progress: Progress = False
 ) -> FirmwareTrial:
-    """Build the bench image around a table and test it on the virtual chip.
-
-    Args:
-        table: the robot's table or its file; None: the robot's default table.
-        robot: the robot, its name or its TOML file; None: the table's own.
-        progress: of the checks: True for a bar, or a function of (done, all).
-
-    Raises:
-        InputError: the table is for another robot, or the firmware's sources are not installed.
-        ToolchainError: no compiler here; the text says what to install.
-        LinkError: the image does not answer.
-        ChipError: the image does what the chip does not allow.
-    """
+    """Build the bench image around a table (None: the default one) and test it on the virtual chip."""
     require_tools("bench")
     from frogkick.runs.chip_check import check_on_chip  # it cannot be loaded without the extra
 
@@ -162,19 +226,6 @@ def try_firmware(
         return FirmwareTrial(built, check_on_chip(built.image, used.tables, used.robot, tell))
 
 
-@dataclass(frozen=True)
-class Flashed:
-    """The result of flashing an image.
-
-    Attributes:
-        probe: name of the debug probe.
-        bytes: size of the image.
-    """
-
-    probe: str
-    bytes: int
-
-
 def flash_firmware(
     image: Path | None = None,
     *,
@@ -182,7 +233,7 @@ def flash_firmware(
     robot: Robot | str | None = None,
     probe: str | None = None,
     progress: Progress = False,
-) -> Flashed:
+) -> dict[str, Any]:
     """Flash the bench image into a development kit through its debug probe.
 
     Args:
@@ -191,9 +242,8 @@ def flash_firmware(
         probe: serial number of the debug probe, if several are plugged in.
         progress: True for a bar, or a function of (done, all).
 
-    Raises:
-        InputError: both an image and a table, an invalid image, or one that does not fit.
-        ProbeError: no probe is found, or it does not answer.
+    Returns:
+        The keys of the command ``firmware flash``: name of the probe, bytes of the image.
     """
     if image is not None and table is not None:
         raise InputError("give either --image or --tables, not both: an image already contains its table")
@@ -207,4 +257,4 @@ def flash_firmware(
             image = stack.enter_context(built_firmware("bench", file, used.robot)).files["hex"]
         length = check_image(existing_file(image, "image"))
         tell = stack.enter_context(shown(progress, "flash"))
-        return Flashed(flash(image, probe, tell), length)
+        return {"probe": flash(image, probe, tell), "bytes": length}

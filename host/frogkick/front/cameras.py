@@ -34,19 +34,7 @@ from frogkick.vision.scene import Conditions
 from frogkick.vision.sources import Frame, open_source
 from frogkick.vision.tags import tag_cells, tag_margin
 
-__all__ = [
-    "Board",
-    "Calibrated",
-    "CameraCheck",
-    "CameraTracked",
-    "Rendering",
-    "Tag",
-    "calibrate_camera",
-    "check_camera",
-    "take_picture",
-    "track_camera",
-    "write_tag",
-]
+__all__ = ["Board", "Tag", "calibrate_camera", "check_camera", "take_picture", "track_camera", "write_tag"]
 
 EXPOSURE_S = 1.0
 """Time in which a camera that was just opened finds its exposure."""
@@ -54,24 +42,15 @@ REMARKS = 5
 """How many of the places beyond the limits are named."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Calibrated:
-    """A calibrated camera.
-
-    Attributes:
-        calibration: the map from pixels to places on the water, and back.
-        lens_rms_px: error of the board's corners in the lens model; NaN without pictures of a board.
-    """
+    """A calibrated camera, and the error of the board's corners in its lens model; NaN without a board."""
 
     calibration: Calibration
     lens_rms_px: float
 
     def save(self, file: Path | str) -> None:
-        """Write the calibration (.toml) for ``Camera`` and ``run``.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write the calibration (.toml) for ``Camera`` and ``run``."""
         write_calibration(Path(file), self.calibration)
 
     def as_json(self) -> dict[str, Any]:
@@ -95,10 +74,6 @@ class Calibrated:
             "heave_shift_mm_per_mm": shift,
             "px_per_mm": float(np.sqrt(abs(np.linalg.det(step[1:] - step[0])))),
         }
-
-    def __repr__(self) -> str:
-        made = self.calibration
-        return f"Calibrated(by {made.method}, {made.points} points, {made.rms_px:.3g} px RMS)"
 
 
 def calibrate_camera(
@@ -127,9 +102,6 @@ def calibrate_camera(
         board: the printed board of ``pictures`` and ``plane_picture``.
         pictures: folder of pictures of the board, to calibrate the lens; None: the lens is taken as perfect.
         board_at_m: x and y of the board's first inner corner in the pool; its rows run along the pool.
-
-    Raises:
-        InputError: not exactly one of corners and plane picture, or data that do not determine the camera.
     """
     if (corners is None) == (plane_picture is None):
         raise InputError(
@@ -178,9 +150,7 @@ class Rendering:
 
     Attributes:
         columns, rows: places of the tag along and across the pool, 1 to 50 each.
-        blur_px: standard deviation of the blur.
-        noise: standard deviation of the pixels' noise, grey levels.
-        wave_m: standard deviation of the tag's heave.
+        blur_px, noise, wave_m: standard deviations of the blur, of the grey levels, of the tag's heave.
         seed: seed of noise and waves.
     """
 
@@ -196,7 +166,7 @@ class Rendering:
             raise InputError(f"--grid {self.columns}x{self.rows}: give 1x1 to 50x50")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class CameraCheck:
     """Errors of a camera over the pool.
 
@@ -261,24 +231,13 @@ class CameraCheck:
         return said + ([f"{'; '.join(off[:REMARKS])}{more}"] if off else [])
 
     def draw(self, file: Path | str) -> None:
-        """Write a map of the errors (.png).
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write a map of the errors (.png)."""
         from frogkick.report.camera_figure import write_error_map
 
         facts = self.summary()
         errors = np.array([[p.x_m, p.y_m, p.error_x_mm, p.error_y_mm] for p in self.found])
         title = f"{self.source}: rms {facts['rms_mm']:.3f} mm, max {facts['max_mm']:.3f} mm"
         write_error_map(self.calibration.pool_m, errors, title, Path(file))
-
-    def __repr__(self) -> str:
-        facts = self.summary()
-        return (
-            f"CameraCheck({self.source}: {facts['found']} of {facts['places']} places found, "
-            f"rms {facts['rms_mm']:.3f} mm, max {facts['max_mm']:.3f} mm)"
-        )
 
 
 def check_camera(
@@ -302,9 +261,6 @@ def check_camera(
         places: pictures of the tag at known poses: CSV with image, x_m, y_m, heading_deg.
         rendering: settings of rendered pictures, without points and places; None: the defaults.
         limit_mm, limit_deg: the largest errors allowed.
-
-    Raises:
-        InputError: an invalid calibration, both points and places, or a file that cannot be read.
     """
     known = read_calibration(Path(calibration))
     if points is not None and places is not None:
@@ -357,14 +313,10 @@ def track_camera(
     """Find the tag in a camera's pictures, without a robot, until they end, the time is up, or Ctrl-C.
 
     Args:
-        calibration: file of ``frogkick camera calibrate``.
-        source: camera number, network camera's address, video file or folder of pictures.
+        calibration, source: as for ``Camera``.
         seconds: duration from the first picture on; None: to the end.
         view: draw pictures, tag and fixes in the browser.
         each: called with each fix: pose in the pool's frame (m, m, rad), times of its picture and arrival, s.
-
-    Raises:
-        InputError: no such calibration or camera, or a camera that fails.
     """
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise InputError(f"the duration is {seconds} s: give more than 0")
@@ -397,10 +349,7 @@ def take_picture(file: Path | str, source: str = "0") -> tuple[int, int]:
 
     Args:
         file: .png or .jpg.
-        source: camera number, network camera's address, video file or folder of pictures.
-
-    Raises:
-        InputError: no such source, another ending, or an unwritable file.
+        source: as for ``Camera``.
     """
     target = Path(file)
     if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
@@ -427,9 +376,6 @@ def write_tag(
         file: .pdf, .svg or .png.
         family, tag_id: family of the tag and its number there.
         size_m: side of the black square of tag36h11, or of the white square of tagStandard41h12.
-
-    Raises:
-        InputError: an unknown tag, a size that fits no page, an unknown ending, or an unwritable file.
     """
     from frogkick.report.camera_figure import write_tag_page
 

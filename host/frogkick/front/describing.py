@@ -20,18 +20,10 @@ from frogkick.robot.template import new_robot_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Description", "FittedStrokes", "describe", "fit_strokes", "write_new_robot"]
 
-
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Description:
-    """A robot as it is simulated.
-
-    Attributes:
-        robot: the robot.
-        rods: its frame and limbs at rest, as nodes and edges.
-        warnings: doubtful values of its geometry or its limits.
-    """
+    """A robot as it is simulated: its rods at rest, and warnings of doubtful geometry or limits."""
 
     robot: Robot
     rods: Rods
@@ -80,11 +72,8 @@ class Description:
                 "centre_m": (corners[0] - mesh.rest_m[0]).tolist(),
             },
             "limits": {
-                "pulse_max_s": guard.pulse_max_s,
-                "rest_min_s": guard.rest_min_s,
-                "duty_max": guard.duty_max,
-                "duty_window_s": guard.duty_window_s,
-                "limbs_at_once_max": guard.limbs_at_once_max,
+                name: getattr(guard, name)
+                for name in ("pulse_max_s", "rest_min_s", "duty_max", "duty_window_s", "limbs_at_once_max")
             },
             "period_s": robot.period_s,
             "pulse_s": robot.pulse_s,
@@ -93,22 +82,9 @@ class Description:
     def _limb_names(self, mask: int) -> list[str]:
         return [limb.name for i, limb in enumerate(self.robot.limbs) if mask >> i & 1]
 
-    def __repr__(self) -> str:
-        return (
-            f"Description({self.robot.id!r}: {len(self.rods.mesh.rest_m)} nodes, "
-            f"{len(self.warnings)} warnings)"
-        )
-
 
 def describe(robot: Robot | str) -> Description:
-    """Describe a robot.
-
-    Args:
-        robot: the robot, its name or its TOML file.
-
-    Raises:
-        InputError: an unknown robot, or one that cannot be simulated.
-    """
+    """Describe a robot, given by its name or its TOML file."""
     described = load_robot(robot)
     return Description(described, prepare(described), tuple(robot_warnings(described)))
 
@@ -120,9 +96,6 @@ def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | Non
         file: TOML file to write, which must not exist; its name without the ending is the robot's id.
         base: the robot to start from, its name or its TOML file. Its effects are not copied.
         limbs: number of limbs to keep, from the first, with the actions that they allow; None: all.
-
-    Raises:
-        InputError: an unknown base, too many limbs, an invalid id, or a file that cannot be written.
     """
     require_writable(file)
     if file.exists():
@@ -133,14 +106,9 @@ def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | Non
     return robot
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class FittedStrokes:
-    """Measured strokes and the profiles that were fitted to them.
-
-    Attributes:
-        strokes: the measured strokes.
-        profiles: the profile of each.
-    """
+    """Measured strokes, and the profile that was fitted to each."""
 
     strokes: Sequence[Stroke]
     profiles: Sequence[Profile]
@@ -169,11 +137,7 @@ class FittedStrokes:
         return stroke_figure(self.strokes, self.profiles)
 
     def save(self, file: Path | str) -> None:
-        """Write the profiles as a TOML file for the key ``profiles_file`` of a robot.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write the profiles as a TOML file for the key ``profiles_file`` of a robot."""
         write_profiles(list(self.profiles), file, ", ".join(stroke.name for stroke in self.strokes))
 
 
@@ -192,9 +156,6 @@ def fit_strokes(
         egain_percent: EGaIn fraction of the limb's alloy, %.
         frequency_hz: strokes per second; None: one over the last time of each file.
         length_m: length of the limb, needed if the tip was tracked.
-
-    Raises:
-        InputError: a file without a stroke, or two files of one frequency.
     """
     strokes = [read_stroke(file, length_m) for file in files]
     profiles = [fit_stroke(stroke, egain_percent, frequency_hz) for stroke in strokes]

@@ -20,23 +20,17 @@ from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
 from frogkick_codegen.toolchain import Compiler, other, zig
 
-__all__ = ["Parity", "compare_places"]
-
 LOOP_DECISIONS = 200
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Parity:
-    """The differences between the places that decide.
+    """The differences between the places that decide; see ``compare_places`` for the numbers.
 
     Attributes:
-        states: number of states for Python and native C.
-        chip_states: number of these states that the virtual chip decided too.
         pairs: for each pair of places the number of different decisions, their fields and the first one.
-        loop_decisions: number of decisions of the closed loop.
         loop_mismatches: pair of places, such as "python-native" -> different decisions or outputs.
         places: name -> the compiler's version, or "twin".
-        seed: seed of the states and the loop.
     """
 
     states: int
@@ -72,10 +66,6 @@ class Parity:
             "failures": [pair.first_failure for pair in self.pairs if pair.first_failure],
         }
 
-    def __repr__(self) -> str:
-        counts = ", ".join(f"{pair} {count}" for pair, count in self.mismatches.items())
-        return f"Parity({self.states} states; mismatches {counts})"
-
 
 def compare_places(
     table: Table | Path | str | None = None,
@@ -105,10 +95,6 @@ def compare_places(
         depth: depth of the loop, 1 to 4; None: the planner's own.
         seed: seed of the states and the loop.
         progress: of the virtual chip: True for a bar, or a function of (done, all).
-
-    Raises:
-        InputError: the table is for another robot, or the firmware's sources are not installed.
-        ToolchainError: no compiler here; the text says what to install.
     """
     require_tools("bench")
     used = load_table(table, robot)
@@ -164,12 +150,7 @@ def _single(
 
 
 def _loops(
-    libraries: dict[str, Path],
-    bench: Path,
-    tables: Tables,
-    config: PlanConfig,
-    decisions: int,
-    seed: int,
+    libraries: dict[str, Path], bench: Path, tables: Tables, config: PlanConfig, decisions: int, seed: int
 ) -> dict[str, int]:
     """Compare a closed loop: the twin by its decisions, the C builds by all outputs of their core."""
     from frogkick.runs.parity_scenario import (

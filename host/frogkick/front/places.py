@@ -30,11 +30,7 @@ PLANS = ("onboard", "host", "both")
 
 
 def require_simulated(name: str) -> None:
-    """Refuse an unknown simulated robot.
-
-    Raises:
-        InputError: not one of ``SIMULATED``.
-    """
+    """Refuse an unknown simulated robot."""
     if name not in SIMULATED:
         raise InputError(
             f"--robot is {name!r}{nearest_name(str(name), SIMULATED)}: choose virtual (the firmware on the "
@@ -44,12 +40,7 @@ def require_simulated(name: str) -> None:
 
 
 def require_simulator(name: str) -> None:
-    """Refuse a simulated robot whose firmware cannot be built here, before anything is simulated.
-
-    Raises:
-        InputError: not one of ``SIMULATED``, or the firmware's sources or a package are not installed.
-        ToolchainError: the compiler is not installed.
-    """
+    """Refuse a simulated robot whose firmware cannot be built here, before anything is simulated."""
     require_simulated(name)
     require_tools(SIMULATED[name])
 
@@ -77,9 +68,6 @@ def simulated_robot(
         robot: the robot of the table.
         meanwhile: called while the compiler runs in another process, so that a second core is used.
         learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
-
-    Raises:
-        InputError: an unknown name.
     """
     require_simulator(name)
     target = SIMULATED[name]
@@ -115,9 +103,6 @@ def plan_config(
         planner: "robot" or "paper"; None: that of the run, or the paper's if the run has none.
         depth: depth that replaces the configured one.
         run: a log that may hold its planner.
-
-    Raises:
-        InputError: an unknown planner, or a depth that is not 1 to 4.
     """
     if planner not in (None, *PLANNERS):
         raise InputError(f"planner is {planner!r}{nearest_name(planner, PLANNERS)}: choose robot or paper")
@@ -134,11 +119,7 @@ def plan_config(
 
 
 def swim_path(name: SwimPath | Path | str) -> SwimPath:
-    """Return a path by its shape's name or from a file. A file with too many points is reported on stderr.
-
-    Raises:
-        InputError: neither a shape nor a readable file.
-    """
+    """Return a path by its shape's name or from a file. A file with too many points is reported on stderr."""
     if isinstance(name, SwimPath):
         return name
     if not isinstance(name, str | Path):

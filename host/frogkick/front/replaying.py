@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +32,6 @@ from frogkick.runs.replay import replay as replay_run
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables
 from frogkick_codegen.firmware import require_tools
-
-__all__ = ["FetchedLog", "LogReplayed", "Replayed", "fetch_from", "fetch_log", "replay", "replay_log"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,11 +133,7 @@ def replay(
 
 
 def fetch_from(session: Session, progress: Progress = False) -> FetchedLog:
-    """Fetch the log of the robot of a session.
-
-    Raises:
-        LinkError: the robot does not answer.
-    """
+    """Fetch the log of the robot of a session."""
     hello = session.hello()
     with shown(progress, "bytes fetched") as tell:
         found = fetch_bytes(session, progress=tell)
@@ -154,11 +147,6 @@ def fetch_log(target: str, out: Path | None = None, progress: Progress = False) 
         target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
         out: file (.h5) to write as well.
         progress: of the bytes: True for a bar, or a function of (done, all).
-
-    Raises:
-        InputError: an unknown kind of target, or a file that cannot be written.
-        WireError: the robot cannot be reached.
-        LinkError: the robot does not answer.
     """
     require_target(target)
     require_writable(out)
@@ -169,50 +157,30 @@ def fetch_log(target: str, out: Path | None = None, progress: Progress = False) 
     return fetched
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class LogReplayed:
-    """A robot's own log whose decisions were repeated.
-
-    Attributes:
-        result: the repeated decisions and the mismatches.
-        tables: the tables of the decisions.
-    """
+    """A robot's own log whose decisions were repeated with tables."""
 
     result: LogReplay
     tables: Tables
 
-    @cached_property
-    def actions(self) -> tuple[str, ...]:
-        """The action of each decision, by name; "-" where there is no plan."""
-        names = [row.name for row in self.tables.actions] + ["-"]
-        return tuple(names[decision.action] for decision in self.result.decisions)
-
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``log replay``."""
         result = self.result
+        names = [row.name for row in self.tables.actions] + ["-"]  # for decisions without a plan
         values: dict[str, Any] = {
             "records": result.records,
             "replayed": result.replayed,
             "segments": result.segments,
             "decisions": len(result.decisions),
-            "actions": in_a_row(self.actions),
+            "actions": in_a_row([names[decision.action] for decision in result.decisions]),
             "mismatches": len(result.mismatches),
         }
         if result.mismatches:
             first = result.mismatches[0]
-            values["first_mismatch"] = {
-                "time_s": first.time_us * 1e-6,
-                "place": first.place,
-                "what": first.what,
-            }
+            time_s = first.time_us * 1e-6
+            values["first_mismatch"] = {"time_s": time_s, "place": first.place, "what": first.what}
         return values
-
-    def __repr__(self) -> str:
-        found = self.result
-        return (
-            f"LogReplayed({found.replayed} of {found.records} records, {len(found.decisions)} decisions, "
-            f"{len(found.mismatches)} mismatches)"
-        )
 
 
 def replay_log(
@@ -229,10 +197,6 @@ def replay_log(
         tables: image that the robot carried; None: the default one of the robot.
         model: name or TOML file of the robot; None: the table's.
         progress: of the records: True for a bar, or a function of (done, all).
-
-    Raises:
-        InputError: an invalid log, another robot's table, or a log without decisions of this table.
-        ToolchainError: no compiler for the core is found.
     """
     fetched = log if isinstance(log, FetchedLog) else read_log(log)
     name = "the log" if isinstance(log, FetchedLog) else repr(Path(log).name)

@@ -162,11 +162,7 @@ def retune(
 
 
 def _carried(table: Table | Path | str, robot: Robot) -> bytes:
-    """Return the image that a robot carries.
-
-    Raises:
-        InputError: the image is for another robot or another period.
-    """
+    """Return the image that a robot carries."""
     used = load_table(table, robot)
     opened = used.tables
     opened.require_robot(robot.id)

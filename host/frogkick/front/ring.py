@@ -40,10 +40,6 @@ def demonstrate(
 
     Returns:
         The results, and the page that shows them.
-
-    Raises:
-        InputError: an unknown robot, a folder that cannot be written, or an extra that is not installed.
-        FrogkickError: an error of a stage.
     """
     described = load_robot(robot)
     folder = Path(out)

@@ -199,9 +199,6 @@ def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = Fals
 
     Returns:
         A row of numbers for each run, with ``file``; for a run without a path ``run`` and ``skipped``.
-
-    Raises:
-        InputError: an unknown folder, no run in it, or a run that cannot be read. Then nothing is written.
     """
     require_writable(Path(out), folder=True)
     with shown(progress, "import") as tell:
@@ -384,11 +381,7 @@ def compile_rods(robot: Robot) -> None:
 
 
 def _now_unix_s() -> float:
-    """Return the wall clock, or SOURCE_DATE_EPOCH if it is set, so that the same run gives the same bytes.
-
-    Raises:
-        InputError: SOURCE_DATE_EPOCH is not a time.
-    """
+    """Return the wall clock, or SOURCE_DATE_EPOCH if it is set, so that the same run gives the same bytes."""
     fixed = os.environ.get("SOURCE_DATE_EPOCH")
     try:
         now_s = float(fixed) if fixed else time.time()

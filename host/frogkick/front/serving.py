@@ -83,12 +83,7 @@ class ServedPool:
         }
 
     def look_after(self) -> None:
-        """Keep the flash where it has changed; call it now and then.
-
-        Raises:
-            ConvergenceError: the rod simulation failed.
-            InputError: the simulation is too slow here, or the flash's file cannot be written.
-        """
+        """Keep the flash where it has changed; call it now and then."""
         if self._line.error is not None:
             raise self._line.error
         if self._robot.behind_s > BEHIND_S:
@@ -109,11 +104,7 @@ class ServedPool:
             self._kept = content
 
     def act(self, text: str) -> str:
-        """Do what one of ``WORDS`` says; return what was done.
-
-        Raises:
-            InputError: no such word, or no pose.
-        """
+        """Do what one of ``WORDS`` says; return what was done."""
         word, _, rest = text.strip().partition(" ")
         if word not in WORDS or (rest and word != "put"):
             raise InputError(
@@ -171,9 +162,6 @@ def served_pool(
         line: name for the serial port, a link to it; None: it is called as this system calls it.
         port: TCP port of the camera's pictures; 0: a free one.
         seed: seed of the pictures' noise and of random effects.
-
-    Raises:
-        InputError: an argument that cannot be used, or a system without pseudo-terminals.
     """
     require_pseudo_terminals()
     require_simulator(robot)

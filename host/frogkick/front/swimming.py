@@ -71,11 +71,7 @@ def simulate(
 
 
 def _velocity(given: Sequence[float]) -> list[float]:
-    """Velocity at the start.
-
-    Raises:
-        InputError: not three numbers, or more than any small swimmer has: in mm/s or degrees/s, most likely.
-    """
+    """Velocity at the start."""
     try:
         forward, left, turn = (float(number) for number in given)
     except (TypeError, ValueError):
@@ -101,9 +97,6 @@ def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
     Args:
         robot: the robot of the actions.
         actions: names in one text, separated by commas (single letters need none), or a sequence.
-
-    Raises:
-        InputError: no action, or an unknown one.
     """
     if isinstance(actions, str):
         names = [name.strip() for name in actions.split(",")]

@@ -65,9 +65,6 @@ def played(run: RunLog, speed: float = 1.0) -> None:
     Args:
         run: the log.
         speed: 2: twice real time.
-
-    Raises:
-        InputError: the speed is not above 0, or the log has neither a fix nor a decision.
     """
     if not 0.0 < speed < math.inf:
         raise InputError(f"a log cannot be played at speed {speed:g}: give more than 0")

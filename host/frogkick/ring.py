@@ -44,12 +44,7 @@ HELD_OUT = "bends"
 
 @dataclass(frozen=True, eq=False)
 class RingRun(Trial):
-    """A run of the ring along one path.
-
-    Attributes:
-        mismatches: number of decisions in which chip and Python twin differ.
-        missed: the table's prediction errors one period ahead.
-    """
+    """A run along one path: in how many decisions chip and twin differ, and the table's prediction errors."""
 
     mismatches: int
     missed: Residual
@@ -103,11 +98,8 @@ class Ring:
     """The results of one pass round the ring.
 
     Attributes:
-        robot: the nominal robot, which swims until a limb is worn.
-        states: number of states of its library.
-        tables, built: its table, and the firmware around it.
-        options: options of every run.
-        runs: a run along each path.
+        robot, states, tables, built: the nominal robot, the size of its library, its table and its firmware.
+        options, runs: of every run; a run along each path.
         chip: the test of the firmware on the virtual chip.
         stage_s: duration of each stage, s.
         closing: the result for the worn limb; None before ``close``.
@@ -167,13 +159,11 @@ def go_round(
     """Make library, table, C code and firmware, and follow three paths on the virtual chip.
 
     Args:
-        robot: the robot of the library and of the pool.
         out: folder for library.h5, tables.fkt, emitted/, firmware/ and the log of each path.
         states: number of initial velocities of the library.
         depth: search depth of the planner, periods.
         seed: seed of the library's sampling and of the camera's noise.
         bar: makes a progress bar.
-        paths: names of the paths.
         time_limit_s: time limit of each run in pool time, s.
     """
     clock = _StageClock({})
@@ -227,7 +217,6 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         out: the same folder, for logs (``worn-PATH.h5``), ``found.toml`` and, if an effect is found, ``new/``
             with library, table and firmware.
         seed: seed of the wear, the library and the camera's noise.
-        bar: makes a progress bar.
         held_out: path of the test run.
     """
     clock = _StageClock(ring.stage_s)

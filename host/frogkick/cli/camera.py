@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, group, json_text, say, show
+from frogkick.cli.common import JsonOption, SeedOption, Within, group, json_text, say, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 
@@ -146,8 +146,8 @@ def check(
     blur_px: Annotated[float, "Blur of the rendered pictures."] = 0.6,
     noise: Annotated[float, "Noise of the rendered pictures, in grey levels."] = 2.0,
     wave_mm: Annotated[float, "Standard deviation of the rendered tag's heave."] = 0.0,
-    limit_mm: Annotated[float, typer.Option(help="Largest position error allowed.", min=0.0)] = 1.0,
-    limit_deg: Annotated[float, typer.Option(help="Largest heading error allowed.", min=0.0)] = 0.5,
+    limit_mm: Annotated[float, "Largest position error allowed.", Within(0.0)] = 1.0,
+    limit_deg: Annotated[float, "Largest heading error allowed.", Within(0.0)] = 0.5,
     out: Annotated[Path | None, "Folder for error_map.json and error_map.png."] = None,
     seed: SeedOption = 0,
     json: JsonOption = False,

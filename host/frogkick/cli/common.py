@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, NamedTuple, get_args
 
 import typer
 from rich.console import Console
@@ -22,12 +22,17 @@ PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
 PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
 Sampling = enum.StrEnum("Sampling", ["box", "visited", "planned"])
 
-# A type and a text are the option "--name" with that help, see ``with_options``.
+
+class Within(NamedTuple):
+    """The range of an option's numbers."""
+
+    min: float
+    max: float | None = None
+
+
+# A type, a text and perhaps a range are the option "--name" with that help, see ``with_options``.
 JsonOption = Annotated[bool, "Print one JSON object and nothing else."]
-SeedOption = Annotated[
-    int,
-    typer.Option("--seed", min=0, help="Seed of all random numbers; the same seed gives the same result."),
-]
+SeedOption = Annotated[int, "Seed of all random numbers; the same seed gives the same result.", Within(0)]
 ClusterOption = Annotated[
     str | None,
     typer.Option(
@@ -44,18 +49,14 @@ PlannerOption = Annotated[
     PlannerName,
     "Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and depth 1.",
 ]
-DepthOption = Annotated[
-    int | None, typer.Option(min=1, max=4, help="Search depth in strokes; default: the planner's own.")
-]
+DepthOption = Annotated[int | None, "Search depth in strokes; default: the planner's own.", Within(1, 4)]
 KeyOption = Annotated[
     Path | None, "Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
 ]
 TargetOption = Annotated[
     str, typer.Option("--robot", metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
 ]
-WorkersOption = Annotated[
-    int, typer.Option("--workers", min=0, max=256, help="Number of processes; 0: one for each core.")
-]
+WorkersOption = Annotated[int, "Number of processes; 0: one for each core.", Within(0, 256)]
 RobotArgument = Annotated[str, typer.Argument(help="TOML file or built-in name.")]
 RobotFileOption = Annotated[str, typer.Option("--robot", "--model", help="TOML file or built-in name.")]
 ModelOption = Annotated[
@@ -94,7 +95,7 @@ class WholeLines(TyperGroup):
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose arguments of the type ``Annotated[type, "help"]`` are options with that help.
+    """Return a command whose arguments ``Annotated[type, "help", Within(...)]`` are options with that help.
 
     A switch that is off by default has no ``--no-name``.
     """
@@ -102,10 +103,11 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     parameters = []
     for parameter in signature.parameters.values():
         annotation = parameter.annotation
-        text = next((each for each in get_args(annotation)[1:] if isinstance(each, str)), None)
-        if text is not None:
+        kind, *notes = get_args(annotation) or (annotation,)
+        if notes and isinstance(notes[0], str):
             named = [f"--{parameter.name.replace('_', '-')}"] if parameter.default is False else []
-            annotation = Annotated[annotation.__origin__, typer.Option(*named, help=text)]
+            limits = notes[1]._asdict() if len(notes) > 1 else {}
+            annotation = Annotated[kind, typer.Option(*named, help=notes[0], **limits)]
         parameters.append(parameter.replace(annotation=annotation))
     command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return command

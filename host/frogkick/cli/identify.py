@@ -15,6 +15,7 @@ from frogkick.cli.common import (
     LawsOption,
     NominalOption,
     SeedOption,
+    Within,
     WorkersOption,
     say,
     say_left_out,
@@ -157,7 +158,7 @@ def retune(
         Path | None, "Table image that the robot carries (.fkt), to compare with; default: made from --robot."
     ] = None,
     states: Annotated[
-        int, typer.Option(min=STATES_LEAST, max=65535, help="Number of states of the simulated libraries.")
+        int, "Number of states of the simulated libraries.", Within(STATES_LEAST, 65535)
     ] = STATES,
     workers: WorkersOption = 0,
     push: Annotated[

@@ -21,6 +21,7 @@ from frogkick.cli.common import (
     SeedOption,
     TablesOption,
     UnseenOption,
+    Within,
     WorkersOption,
     group,
     local_processes,
@@ -68,7 +69,7 @@ def simulate(
     egain_percent: Annotated[float | None, "EGaIn fraction of the limbs in a gait, %."] = None,
     frequency_hz: Annotated[float | None, "Strokes per second of a gait."] = None,
     phase: Annotated[float, "Lag of the rear limbs as a fraction of the period, 0 to 1."] = 0.5,
-    cycles: Annotated[int, typer.Option(min=1, max=200, help="Number of cycles of the gait.")] = 8,
+    cycles: Annotated[int, "Number of cycles of the gait.", Within(1, 200)] = 8,
     actions: Annotated[
         str | None, "Names of the actions in their order, such as B,B,C or kick,glide."
     ] = None,
@@ -135,7 +136,7 @@ def simulate(
 
 def build_library(
     robot: RobotArgument = "frog2022",
-    states: Annotated[int, typer.Option(min=1, max=65535, help="Number of initial velocities.")] = 300,
+    states: Annotated[int, "Number of initial velocities.", Within(1, 65535)] = 300,
     out: Annotated[Path, "HDF5 file to write."] = Path("lib.h5"),
     workers: WorkersOption = 0,
     sampling: Annotated[
@@ -145,11 +146,8 @@ def build_library(
     ] = Sampling.box,
     record_s: Annotated[
         float,
-        typer.Option(
-            min=0.0,
-            max=60.0,
-            help="Time to simulate and record after each transition's start, s; 0: one period.",
-        ),
+        "Time to simulate and record after each transition's start, s; 0: one period.",
+        Within(0.0, 60.0),
     ] = RECORD_S,
     cluster: ClusterOption = None,
     seed: SeedOption = 0,
@@ -220,9 +218,7 @@ def build_table(
         ),
     ] = None,
     out: Annotated[Path, "Table image to write (.fkt)."] = Path("tables.fkt"),
-    test_states: Annotated[
-        int, typer.Option(min=4, max=10000, help="Number of unseen states to measure the error on.")
-    ] = 64,
+    test_states: Annotated[int, "Number of unseen states to measure the error on.", Within(4, 10000)] = 64,
     seed: SeedOption = 1,
     json: JsonOption = False,
 ) -> None:
@@ -242,10 +238,7 @@ def show_table(
         typer.Option("--robot", "--model", help="Refuse a table that was not made for this robot."),
     ] = None,
     test_states: Annotated[
-        int,
-        typer.Option(
-            min=0, max=10000, help="Number of unseen states to measure the error on; 0: do not measure it."
-        ),
+        int, "Number of unseen states to measure the error on; 0: do not measure it.", Within(0, 10000)
     ] = 64,
     sampling: UnseenOption = Sampling.box,
     seed: SeedOption = 1,

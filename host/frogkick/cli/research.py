@@ -21,6 +21,7 @@ from frogkick.cli.common import (
     RobotFileOption,
     SeedOption,
     TablesOption,
+    Within,
     WorkersOption,
     local_processes,
     show,
@@ -37,20 +38,14 @@ LOOP_DECISIONS = 200
 
 
 def parity(
-    states: Annotated[
-        int, typer.Option(min=10, max=10_000_000, help="Number of states for Python and native C.")
-    ] = 100_000,
+    states: Annotated[int, "Number of states for Python and native C.", Within(10, 10_000_000)] = 100_000,
     chip_states: Annotated[
         int | None,
-        typer.Option(
-            min=0, max=10_000_000, help="How many of the states the virtual chip decides too.  [default: all]"
-        ),
+        "How many of the states the virtual chip decides too.  [default: all]",
+        Within(0, 10_000_000),
     ] = None,
     loop_decisions: Annotated[
-        int,
-        typer.Option(
-            min=0, max=100_000, help="Number of decisions of the closed-loop run, from fixes to decisions."
-        ),
+        int, "Number of decisions of the closed-loop run, from fixes to decisions.", Within(0, 100_000)
     ] = LOOP_DECISIONS,
     tables: TablesOption = None,
     model: ModelOption = None,
@@ -212,9 +207,7 @@ def sweep(
     frequencies: Annotated[
         str | None, "Frequencies in Hz, such as 0.4,0.5; default: those measured for each fraction."
     ] = None,
-    phases: Annotated[
-        int, typer.Option(min=1, max=1000, help="Number of phase offsets, evenly spaced from 0.")
-    ] = 10,
+    phases: Annotated[int, "Number of phase offsets, evenly spaced from 0.", Within(1, 1000)] = 10,
     egain: Annotated[str | None, "EGaIn fractions in %, such as 10,30; default: the measured ones."] = None,
     workers: WorkersOption = 0,
     cluster: ClusterOption = None,

@@ -15,6 +15,7 @@ from frogkick.cli.common import (
     RobotArgument,
     RobotFileOption,
     SeedOption,
+    Within,
     group,
     show,
 )
@@ -161,9 +162,7 @@ def fit_stroke(
         ),
     ],
     out: Annotated[Path, "TOML file to write, for the key profiles_file of a robot."],
-    egain_percent: Annotated[
-        float, typer.Option(min=0.0, max=100.0, help="EGaIn fraction of the limb's alloy, %.")
-    ] = 0.0,
+    egain_percent: Annotated[float, "EGaIn fraction of the limb's alloy, %.", Within(0.0, 100.0)] = 0.0,
     frequency_hz: Annotated[
         float | None, "Strokes per second; default: one over the last time of each file."
     ] = None,

@@ -82,11 +82,7 @@ class Validated:
         return all(requirement.held for requirement in requirements(self.validation))
 
     def report(self, file: Path | str) -> None:
-        """Write an HTML page: errors by group, speeds, waves within a cycle, every case.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write an HTML page: errors by group, speeds, waves within a cycle, every case."""
         from frogkick.report.validate_page import write_validation_report
 
         write_validation_report(Path(file), self.validation, self.noise)
@@ -96,7 +92,11 @@ class Validated:
         validation, noise = self.validation, self.noise
         return {
             "robot": validation.robot.id,
-            "profiles": _profiles_used(validation),
+            "profiles": (
+                f"{len(measured)} fitted to the files in profile/"
+                if (measured := validation.profiles.measured)
+                else f"cached coefficients of robot {validation.robot.id}: the data has no profile/"
+            ),
             "rmse_mps": self.rmse_mps,
             "within_cycle_rms_mm": {g: 1e3 * rms for g, rms in within_cycle_rms_m(validation).items()},
             "requirements": [_requirement_row(r) for r in requirements(validation)],
@@ -111,8 +111,8 @@ class Validated:
                 "repeats": noise.repeated,
                 "within_swim_mps": noise.within_swim,
             },
-            "simulations": [_simulation_row(r) for r in validation.simulations],
-            "experiments": [_experiment_row(r) for r in validation.experiments],
+            "simulations": [_row(r) for r in validation.simulations],
+            "experiments": [_row(r) for r in validation.experiments],
             "skipped": [asdict(skipped) for skipped in validation.skipped],
         }
 
@@ -180,30 +180,19 @@ def _matched_row(matched: Matched) -> dict[str, Any]:
     }
 
 
-def _gait_columns(result: SimulationResult | ExperimentResult) -> dict[str, Any]:
-    return {"case": result.case.name, "group": result.case.group, **asdict(result.case.gait)}
-
-
-def _simulation_row(result: SimulationResult) -> dict[str, Any]:
+def _row(result: SimulationResult | ExperimentResult) -> dict[str, Any]:
+    row = {"case": result.case.name, "group": result.case.group, **asdict(result.case.gait)}
+    compared = {"model_mps": result.model_mps, "error_mps": result.error_mps}
+    if isinstance(result, SimulationResult):
+        within = {"within_cycle_rms_mm": 1e3 * result.within_cycle_rms_m, "profile": result.profile}
+        return {**row, "reference_mps": result.reference_mps, **compared, **within}
     return {
-        **_gait_columns(result),
-        "reference_mps": result.reference_mps,
-        "model_mps": result.model_mps,
-        "error_mps": result.error_mps,
-        "within_cycle_rms_mm": 1e3 * result.within_cycle_rms_m,
-        "profile": result.profile,
-    }
-
-
-def _experiment_row(result: ExperimentResult) -> dict[str, Any]:
-    return {
-        **_gait_columns(result),
+        **row,
         "reference_mps": result.reference.speed_mps,
         "reference_sd_mps": result.reference.sd_mps,
         "cycles": result.reference.cycles,
         "tabulated_mps": result.tabulated_mps,
-        "model_mps": result.model_mps,
-        "error_mps": result.error_mps,
+        **compared,
         "authors_mps": result.authors_mps,
         "profile": result.profile,
     }
@@ -211,13 +200,6 @@ def _experiment_row(result: ExperimentResult) -> dict[str, Any]:
 
 def _requirement_row(requirement: Requirement) -> dict[str, Any]:
     return {**asdict(requirement), "held": requirement.held}
-
-
-def _profiles_used(validation: Validation) -> str:
-    found = len(validation.profiles.measured)
-    if found:
-        return f"{found} fitted to the files in profile/"
-    return f"cached coefficients of robot {validation.robot.id}: the data has no profile/"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -253,15 +235,16 @@ class Swept:
         return energy_model(self.sweep.plan.robot)
 
     def save(self, folder: Path | str) -> list[Path]:
-        """Write ``sweep.csv``, a page and its pictures into a folder, and return the files.
-
-        Raises:
-            InputError: the folder cannot be written to.
-        """
+        """Write ``sweep.csv``, a page and its pictures into a folder, and return the files."""
         from frogkick.report.sweep_page import write_sweep_report
 
         out = Path(folder)
-        write_text(out / "sweep.csv", _csv(self.points))
+        buffer = io.StringIO()
+        columns = ["egain_percent", "frequency_hz", "phase", "speed_mps", "cost_of_transport", "failure"]
+        writer = csv.DictWriter(buffer, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(point_row(point) for point in self.points)
+        write_text(out / "sweep.csv", buffer.getvalue())
         return [out / "sweep.csv", *write_sweep_report(out, self.sweep, self.verdicts)]
 
     def as_json(self) -> dict[str, Any]:
@@ -351,15 +334,6 @@ def sweep(
         with shown(progress, "sweep: gaits") as tell:
             found = run_sweep(plan, folder, processes, tell, cluster)
     return Swept(found, paper_verdicts(found))
-
-
-def _csv(points: Sequence[Point]) -> str:
-    buffer = io.StringIO()
-    columns = ["egain_percent", "frequency_hz", "phase", "speed_mps", "cost_of_transport", "failure"]
-    writer = csv.DictWriter(buffer, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(point_row(point) for point in points)
-    return buffer.getvalue()
 
 
 def _verdict_row(verdict: Verdict) -> dict[str, Any]:

@@ -126,11 +126,7 @@ class Identification:
         return figure_of_law(self.outcome, law) if laws_of(self.outcome) else error_figure(self.outcome)
 
     def predictions(self, file: Path | str) -> None:
-        """Write a CSV with one row for each period of each test run: measured, predicted, nominal.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
+        """Write a CSV with one row for each period of each test run: measured, predicted, nominal."""
         write_predictions(Path(file), self.outcome)
 
     def as_json(self) -> dict[str, Any]:
@@ -200,9 +196,12 @@ def identify(
     if not test:
         raise InputError("test is empty: give at least one run that is not a training run")
     runs, test = list(runs), list(test)
-    for each in test:
-        if any(_is_same(each, one) for one in runs):
-            name = each.source if isinstance(each, Run) else Path(each).name
+    objects, tested = (
+        [one if isinstance(one, Run) else Path(one).resolve() for one in some] for some in (runs, test)
+    )
+    for each in tested:
+        if each in objects:
+            name = each.source if isinstance(each, Run) else each.name
             raise InputError(
                 f"run {name!r} is a training run and a test run: its test would show how well it "
                 "was fitted, not how well it is predicted; give each run once"
@@ -219,13 +218,6 @@ def identify(
         _ = found.horizons, found.experiment
         last(1, 1)
     return Identification(found)
-
-
-def _is_same(one: Given, other: Given) -> bool:
-    """Return whether two runs are one object, or one file."""
-    if isinstance(one, Run) or isinstance(other, Run):
-        return one is other
-    return Path(one).resolve() == Path(other).resolve()
 
 
 def log_of(given: Given) -> tuple[Run, str]:

@@ -27,22 +27,19 @@ SIMULATED = {"virtual": "bench", "pool": "native"}
 """Simulated robot -> target of the firmware that it runs."""
 PLANS = ("onboard", "host", "both")
 """Who decides."""
+PLANNERS = ("robot", "paper")
 
 
-def require_simulated(name: str) -> None:
-    """Refuse an unknown simulated robot."""
+def require_simulator(name: str, builds: bool = True) -> None:
+    """Refuse an unknown simulated robot, or one whose firmware cannot be built here if that is asked for."""
     if name not in SIMULATED:
         raise InputError(
             f"--robot is {name!r}{nearest_name(str(name), SIMULATED)}: choose virtual (the firmware on the "
             "virtual chip), pool (the same core on this computer), or a real robot: "
             f"{', '.join(FORMS)}"
         )
-
-
-def require_simulator(name: str) -> None:
-    """Refuse a simulated robot whose firmware cannot be built here, before anything is simulated."""
-    require_simulated(name)
-    require_tools(SIMULATED[name])
+    if builds:
+        require_tools(SIMULATED[name])
 
 
 @contextmanager
@@ -63,17 +60,14 @@ def simulated_robot(
     """Return a simulated robot: "virtual" (image on the virtual chip) or "pool" (core on this computer).
 
     Args:
-        name: "virtual" or "pool".
-        tables: its table image.
-        robot: the robot of the table.
+        name, tables, robot: which of the two, its table image, and the robot of the table.
         meanwhile: called while the compiler runs in another process, so that a second core is used.
         learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
     """
     require_simulator(name)
-    target = SIMULATED[name]
     with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:
         with ThreadPoolExecutor(1) as beside:
-            building = beside.submit(build, target, tables, robot, Path(folder))
+            building = beside.submit(build, SIMULATED[name], tables, robot, Path(folder))
             meanwhile()
             built = building.result()
         if name == "virtual":
@@ -82,9 +76,6 @@ def simulated_robot(
             yield VirtualRobot(built.image, len(robot.limbs), learned=learned)
         else:
             yield NativeRobot(built.image, len(robot.limbs), learned=learned)
-
-
-PLANNERS = ("robot", "paper")
 
 
 def require_plan(plan: str) -> None:

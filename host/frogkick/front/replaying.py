@@ -14,7 +14,6 @@ from frogkick.front.places import (
     built_firmware,
     plan_config,
     require_plan,
-    require_simulated,
     require_simulator,
     simulated_robot,
 )
@@ -102,7 +101,7 @@ def replay(
         InputError: the run holds no decision to repeat, or the table is for another robot or period.
         ToolchainError: no compiler for the firmware is found.
     """
-    (require_simulated if plan == "host" else require_simulator)(robot)
+    require_simulator(robot, builds=plan != "host")
     recorded = run_of(run)
     require_replayable(recorded)
     require_plan(plan)

@@ -36,7 +36,6 @@ def demonstrate(
         states: number of initial velocities of the library, 10 to 2000; None: as for the default table.
         depth: periods to look ahead, 1 to 4; None: the robot's own.
         seed: seed of the sampling, of the camera's noise, and of the limb that is worn.
-        progress: of each stage: True for bars, or a function of (done, all).
 
     Returns:
         The results, and the page that shows them.

@@ -47,8 +47,7 @@ class ServedPool:
     """An open pool.
 
     Attributes:
-        target: the robot, as ``--robot`` takes it.
-        source: the camera, as ``--source`` takes it.
+        target, source: the robot and the camera, as ``--robot`` and ``--source`` take them.
         picture: address of a single picture.
         table: the table in the robot's firmware.
         pool_m: length and width.

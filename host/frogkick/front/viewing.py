@@ -60,12 +60,7 @@ def viewed(
 
 
 def played(run: RunLog, speed: float = 1.0) -> None:
-    """Play a log in the browser until its end, the page's button or Ctrl-C; it starts with the page.
-
-    Args:
-        run: the log.
-        speed: 2: twice real time.
-    """
+    """Play a log, see ``Run.play``."""
     if not 0.0 < speed < math.inf:
         raise InputError(f"a log cannot be played at speed {speed:g}: give more than 0")
     times_s = np.concatenate([run.fixes.time_s, run.decisions.time_s])
@@ -94,8 +89,7 @@ def played(run: RunLog, speed: float = 1.0) -> None:
 
 
 def _outline_of(run: RunLog) -> Sequence[tuple[float, float]]:
-    """Return the frame's corners of a log's robot, from its own TOML text or by its name; empty if it is
-    unknown."""
+    """Return the frame's corners of a log's robot, from its own TOML text or by its name; else none."""
     try:
         text = run.made.get("robot_toml")
         return (load_robot(run.robot_id) if text is None else parse_robot(text, run.robot_id)).frame.corners_m
@@ -105,12 +99,7 @@ def _outline_of(run: RunLog) -> Sequence[tuple[float, float]]:
 
 @contextmanager
 def camera_viewed(wanted: bool, camera: CameraFixes) -> Iterator[Callable[[Recording], None]]:
-    """Yield the function that shows a camera's pictures with the tag and its fixes, without a run.
-
-    Args:
-        wanted: False: there is no page.
-        camera: camera over the pool.
-    """
+    """Yield the function that shows a camera's pictures with the tag and its fixes, without a run."""
     if not wanted:
         yield lambda _recording: None
         return

@@ -26,8 +26,7 @@ from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
-from frogkick_codegen.emit import emit
-from frogkick_codegen.figures import DepthTime, Figures
+from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, compiler_name, emit
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Firmware, build, require_tools
 from frogkick_codegen.probe import check_image, flash
 
@@ -112,11 +111,9 @@ def measure_emitted(
         progress: called with the decisions done and their total.
     """
     # These cannot be loaded without the extra.
-    from frogkick.pool.chip.image import load_image
-    from frogkick.pool.chip.layout import Layouts
+    from frogkick.pool.chip.image import Layouts, load_image
     from frogkick.pool.chip.stack import StackAnalysis
     from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner
-    from frogkick_codegen.planner_image import NOT_PLANNER, build_planner, compiler_name
 
     settings = config or PlanConfig()
     with tempfile.TemporaryDirectory(prefix="frogkick-measure-") as folder:

@@ -94,7 +94,7 @@ class LazyGroup(TyperGroup):
             return typer.main.get_command(_group(cmd_name, text, place))
         name, _, attribute = place.partition(":")
         with ctrl_c_waits():
-            from frogkick.cli.common import with_options
+            from frogkick.cli.options import with_options
 
             module = importlib.import_module(f"frogkick.cli.{name}")
         parent = typer.Typer(rich_markup_mode=None, add_completion=False)

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, Within, group, json_text, say, show
+from frogkick.cli import options as opt
+from frogkick.cli.common import json_text, say, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 
@@ -88,7 +89,7 @@ def calibrate(
     tag_at_mm: Annotated[
         str, typer.Option(help="Position of the tag's centre on the robot: forward, left.", metavar="X,Y")
     ] = "0,0",
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Calibrate the camera from the pool's four corners, or from a board that lies on the water's plane.
 
@@ -146,11 +147,11 @@ def check(
     blur_px: Annotated[float, "Blur of the rendered pictures."] = 0.6,
     noise: Annotated[float, "Noise of the rendered pictures, in grey levels."] = 2.0,
     wave_mm: Annotated[float, "Standard deviation of the rendered tag's heave."] = 0.0,
-    limit_mm: Annotated[float, "Largest position error allowed.", Within(0.0)] = 1.0,
-    limit_deg: Annotated[float, "Largest heading error allowed.", Within(0.0)] = 0.5,
+    limit_mm: Annotated[float, "Largest position error allowed.", opt.Within(0.0)] = 1.0,
+    limit_deg: Annotated[float, "Largest heading error allowed.", opt.Within(0.0)] = 0.5,
     out: Annotated[Path | None, "Folder for error_map.json and error_map.png."] = None,
-    seed: SeedOption = 0,
-    json: JsonOption = False,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Map the position errors over the pool, in mm.
 
@@ -196,7 +197,7 @@ def track(
         float | None, "Time to track; default: to the end of the source, or until Ctrl-C."
     ] = None,
     view: Annotated[bool, "Draw the pictures, the tag and the fixes in the browser."] = False,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Print the tag's pose in each picture. No robot is needed.
 
@@ -228,7 +229,7 @@ def track(
 def picture(
     out: Annotated[Path, "Picture to write (.png or .jpg)."],
     source: SourceOption = "0",
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Take a picture, in which the pool's corners can be found.
 
@@ -246,7 +247,7 @@ def tag_page(
     tag_family: FamilyOption = "tag36h11",
     tag_id: TagIdOption = 0,
     tag_size_mm: TagSizeOption = 47.0,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Write a page with the tag at true scale, an arrow that points forward, and a ruler."""
     from frogkick.front.cameras import write_tag
@@ -256,7 +257,7 @@ def tag_page(
     show({"out": str(out), "page_mm": [1e3 * width_m, 1e3 * height_m], "tag_size_mm": tag_size_mm}, json)
 
 
-camera = group(
+camera = opt.group(
     "Calibrate and check the camera over the pool, and track or print the robot's tag.",
     {"calibrate": calibrate, "check": check, "track": track, "picture": picture, "tag": tag_page},
 )

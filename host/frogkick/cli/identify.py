@@ -9,18 +9,8 @@ import typer
 from typer.core import TyperCommand
 
 import frogkick as fk
-from frogkick.cli.common import (
-    JsonOption,
-    KeyOption,
-    LawsOption,
-    NominalOption,
-    SeedOption,
-    Within,
-    WorkersOption,
-    say,
-    say_left_out,
-    show,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import say, say_left_out, show
 from frogkick.cli.robots import text_of
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
@@ -89,7 +79,7 @@ def identify(
     test: Annotated[list[Path], "Runs to predict; nothing is fitted to them."],
     out: Annotated[Path, "Robot TOML file to write: the nominal robot with the identified effects."],
     effects: Annotated[Path | None, "Python file with your own effects, which are tried as well."] = None,
-    robot: NominalOption = None,
+    robot: opt.Nominal = None,
     predictions: Annotated[
         Path | None, "CSV file to write, with the prediction of each period of the test runs."
     ] = None,
@@ -99,8 +89,8 @@ def identify(
         "Start fits of many effects from built-in robots that were calibrated before. With --no-measured "
         "the fits start from the same effects at nominal values.",
     ] = True,
-    laws: LawsOption = True,
-    json: JsonOption = False,
+    laws: opt.Laws = True,
+    json: opt.Json = False,
 ) -> None:
     """Identify the physical effects that a robot's model lacks. The exit code is 0 for any verdict."""
     for target in (out, predictions, report):
@@ -158,9 +148,9 @@ def retune(
         Path | None, "Table image that the robot carries (.fkt), to compare with; default: made from --robot."
     ] = None,
     states: Annotated[
-        int, "Number of states of the simulated libraries.", Within(STATES_LEAST, 65535)
+        int, "Number of states of the simulated libraries.", opt.Within(STATES_LEAST, 65535)
     ] = STATES,
-    workers: WorkersOption = 0,
+    workers: opt.Workers = 0,
     push: Annotated[
         str | None,
         typer.Option(
@@ -169,10 +159,10 @@ def retune(
             "keeps the old ones.",
         ),
     ] = None,
-    key: KeyOption = None,
-    laws: LawsOption = True,
-    seed: SeedOption = 0,
-    json: JsonOption = False,
+    key: opt.Key = None,
+    laws: opt.Laws = True,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Make new tables for a worn robot.
 

@@ -10,19 +10,8 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import (
-    DepthOption,
-    JsonOption,
-    ModelOption,
-    PlannerName,
-    PlanWhere,
-    TablesOption,
-    TargetOption,
-    say,
-    short,
-    show,
-    text_lines,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import say, short, show, text_lines
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar
@@ -38,7 +27,7 @@ def show_run(
     out: Annotated[Path | None, "Picture (.png) or animation (.gif, .mp4) to write."] = None,
     view: Annotated[bool, "Play the run in the browser."] = False,
     speed: Annotated[float, "Speed of --view; 2 is twice real time."] = 1.0,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Show a run in numbers and in one picture: track, distance, actions and prediction errors."""
     moving = out is not None and out.suffix.lower() in (".gif", ".mp4")
@@ -67,7 +56,7 @@ def compare(
     a: RunArgument,
     b: RunArgument,
     out: Annotated[Path | None, "Picture (.png) to write."] = None,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Compare two runs: their distances to the path, their first different decision, and their separation."""
     _require_picture(out)
@@ -95,7 +84,7 @@ def export(
     out: Annotated[Path, "File to write (.mcap), or folder for CSV."],
     csv: Annotated[bool, "Write one CSV file for each group of columns."] = False,
     mcap: Annotated[bool, "Write one MCAP file for Foxglove, and a layout."] = False,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Export a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
     if csv == mcap:
@@ -136,7 +125,7 @@ def import_(
         typer.Argument(help="Folder of recorded runs and their paths, such as line1.csv and linep1.csv."),
     ],
     out: Annotated[Path, "Folder for the logs."],
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Read recorded runs, repair or mark their faults, and write logs. No data is invented."""
     from frogkick.front.running import import_runs
@@ -154,17 +143,17 @@ def import_(
 def replay(
     run: RunArgument,
     plan: Annotated[
-        PlanWhere, "Who decides: the virtual chip, its twin on the host, or both."
-    ] = PlanWhere.both,
-    tables: TablesOption = None,
+        opt.PlanWhere, "Who decides: the virtual chip, its twin on the host, or both."
+    ] = opt.PlanWhere.both,
+    tables: opt.Tables = None,
     planner: Annotated[
-        PlannerName | None,
+        opt.PlannerName | None,
         "Planner whose weights and depth are used; default: the run's own if its log has them, else paper.",
     ] = None,
-    depth: DepthOption = None,
+    depth: opt.Depth = None,
     robot: Annotated[str, "virtual: the chip; pool: the C core on this computer."] = "virtual",
     model: Annotated[str | None, "Robot TOML file or built-in name; default: the run's robot."] = None,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Give a run's fixes to the planner again and compare every decision.
 
@@ -188,9 +177,9 @@ def replay(
 
 
 def fetch(
-    robot: TargetOption,
+    robot: opt.Target,
     out: Annotated[Path, "Log file to write (.h5)."],
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Fetch the log that a robot keeps in its RAM.
 
@@ -204,9 +193,9 @@ def fetch(
 
 def replay_fetched(
     file: Annotated[Path, typer.Argument(help="Log file that 'log fetch' wrote.")],
-    tables: TablesOption = None,
-    model: ModelOption = None,
-    json: JsonOption = False,
+    tables: opt.Tables = None,
+    model: opt.Model = None,
+    json: opt.Json = False,
 ) -> None:
     """Repeat the decisions of a robot's log by the C core and by the Python twin, bit by bit.
 

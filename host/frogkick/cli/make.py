@@ -12,22 +12,8 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import (
-    ClusterOption,
-    JsonOption,
-    ModelOption,
-    RobotArgument,
-    Sampling,
-    SeedOption,
-    TablesOption,
-    UnseenOption,
-    Within,
-    WorkersOption,
-    group,
-    local_processes,
-    say,
-    show,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import local_processes, say, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import progress_bar
@@ -65,18 +51,18 @@ def _write_csv(target: Path, swum: fk.Trajectory) -> None:
 
 
 def simulate(
-    robot: RobotArgument = "frog2022",
+    robot: opt.RobotArgument = "frog2022",
     egain_percent: Annotated[float | None, "EGaIn fraction of the limbs in a gait, %."] = None,
     frequency_hz: Annotated[float | None, "Strokes per second of a gait."] = None,
     phase: Annotated[float, "Lag of the rear limbs as a fraction of the period, 0 to 1."] = 0.5,
-    cycles: Annotated[int, "Number of cycles of the gait.", Within(1, 200)] = 8,
+    cycles: Annotated[int, "Number of cycles of the gait.", opt.Within(1, 200)] = 8,
     actions: Annotated[
         str | None, "Names of the actions in their order, such as B,B,C or kick,glide."
     ] = None,
     initial_velocity: Annotated[str, "VX,VY,OMEGA: forward, left m/s, rad/s."] = "0,0,0",
     out: Annotated[Path | None, "CSV file to write, with time_s, x_m, y_m, heading_rad."] = None,
     animation: Annotated[Path | None, "Animation to write (.gif or .mp4)."] = None,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Simulate a gait or a sequence of actions of a robot."""
     described = fk.load_robot(robot)
@@ -135,23 +121,23 @@ def simulate(
 
 
 def build_library(
-    robot: RobotArgument = "frog2022",
-    states: Annotated[int, "Number of initial velocities.", Within(1, 65535)] = 300,
+    robot: opt.RobotArgument = "frog2022",
+    states: Annotated[int, "Number of initial velocities.", opt.Within(1, 65535)] = 300,
     out: Annotated[Path, "HDF5 file to write."] = Path("lib.h5"),
-    workers: WorkersOption = 0,
+    workers: opt.Workers = 0,
     sampling: Annotated[
-        Sampling,
+        opt.Sampling,
         "How initial velocities are drawn. box: uniformly, as in the paper; visited: from swims with random "
         "strokes; planned: from swims that the planner steers.",
-    ] = Sampling.box,
+    ] = opt.Sampling.box,
     record_s: Annotated[
         float,
         "Time to simulate and record after each transition's start, s; 0: one period.",
-        Within(0.0, 60.0),
+        opt.Within(0.0, 60.0),
     ] = RECORD_S,
-    cluster: ClusterOption = None,
-    seed: SeedOption = 0,
-    json: JsonOption = False,
+    cluster: opt.Cluster = None,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Simulate every action from each of many initial velocities. An interrupted build can be resumed."""
     described = fk.load_robot(robot)
@@ -187,7 +173,7 @@ def build_library(
 
 def show_library(
     library: LibraryArgument,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Show what a library holds."""
     from frogkick.front.tables import library_info
@@ -218,9 +204,11 @@ def build_table(
         ),
     ] = None,
     out: Annotated[Path, "Table image to write (.fkt)."] = Path("tables.fkt"),
-    test_states: Annotated[int, "Number of unseen states to measure the error on.", Within(4, 10000)] = 64,
-    seed: SeedOption = 1,
-    json: JsonOption = False,
+    test_states: Annotated[
+        int, "Number of unseen states to measure the error on.", opt.Within(4, 10000)
+    ] = 64,
+    seed: opt.Seed = 1,
+    json: opt.Json = False,
 ) -> None:
     """Make a table image, and measure its error on states that are not in it."""
     content = fk.load_library(library)
@@ -238,11 +226,11 @@ def show_table(
         typer.Option("--robot", "--model", help="Refuse a table that was not made for this robot."),
     ] = None,
     test_states: Annotated[
-        int, "Number of unseen states to measure the error on; 0: do not measure it.", Within(0, 10000)
+        int, "Number of unseen states to measure the error on; 0: do not measure it.", opt.Within(0, 10000)
     ] = 64,
-    sampling: UnseenOption = Sampling.box,
-    seed: SeedOption = 1,
-    json: JsonOption = False,
+    sampling: opt.Unseen = opt.Sampling.box,
+    seed: opt.Seed = 1,
+    json: opt.Json = False,
 ) -> None:
     """Check a table image, show what it holds, and measure its error on unseen states."""
     from frogkick.front.tables import read_facts
@@ -270,7 +258,7 @@ def codegen(
             help="Measure sizes and times on the virtual chip and write them into the README.",
         ),
     ] = True,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Generate C99 from a table and the planner, with a README of their sizes and times on the chip."""
     require_writable(out, folder=True)
@@ -283,9 +271,9 @@ def codegen(
 def build_firmware(
     tables: Annotated[Path, "Table image (.fkt)."],
     target: Annotated[Target, "bench: nRF52832; native: this computer."] = Target.bench,
-    robot: ModelOption = None,
+    robot: opt.Model = None,
     out: Annotated[Path, "Folder for the results."] = Path("firmware-build"),
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Build the firmware around a table image. The value stack_bytes is the stack that the image reserves."""
     require_writable(out, folder=True)
@@ -294,9 +282,9 @@ def build_firmware(
 
 
 def measure_firmware(
-    tables: TablesOption = None,
-    robot: ModelOption = None,
-    json: JsonOption = False,
+    tables: opt.Tables = None,
+    robot: opt.Model = None,
+    json: opt.Json = False,
 ) -> None:
     """Measure flash, RAM and stack of the bench image.
 
@@ -311,10 +299,10 @@ def flash_firmware(
     image: Annotated[
         Path | None, "Intel HEX file (bench.hex of 'firmware build'); default: built from --tables."
     ] = None,
-    tables: TablesOption = None,
-    robot: ModelOption = None,
+    tables: opt.Tables = None,
+    robot: opt.Model = None,
     probe: Annotated[str | None, "Serial number of the debug probe, if several are plugged in."] = None,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Flash the bench image into a development kit through its debug probe."""
     from frogkick.front.building import flash_firmware as flash
@@ -323,9 +311,9 @@ def flash_firmware(
 
 
 def check_firmware(
-    tables: TablesOption = None,
-    robot: ModelOption = None,
-    json: JsonOption = False,
+    tables: opt.Tables = None,
+    robot: opt.Model = None,
+    json: opt.Json = False,
 ) -> None:
     """Boot the image on the virtual chip and test every command, stroke and limit."""
     from frogkick.front.building import try_firmware
@@ -336,11 +324,11 @@ def check_firmware(
         raise typer.Exit(1)
 
 
-library = group(
+library = opt.group(
     "Simulate transitions for many initial velocities.", {"build": build_library, "info": show_library}
 )
-tables = group("Make the robot's table image from a library.", {"build": build_table, "info": show_table})
-firmware = group(
+tables = opt.group("Make the robot's table image from a library.", {"build": build_table, "info": show_table})
+firmware = opt.group(
     "Build, measure, flash and test the robot's firmware.",
     {"build": build_firmware, "size": measure_firmware, "flash": flash_firmware, "test": check_firmware},
 )

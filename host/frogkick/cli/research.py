@@ -10,22 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from frogkick.cli.common import (
-    ClusterOption,
-    DepthOption,
-    JsonOption,
-    ModelOption,
-    PlannerName,
-    PlannerOption,
-    RobotArgument,
-    RobotFileOption,
-    SeedOption,
-    TablesOption,
-    Within,
-    WorkersOption,
-    local_processes,
-    show,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import local_processes, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar, tell_line
@@ -38,21 +24,21 @@ LOOP_DECISIONS = 200
 
 
 def parity(
-    states: Annotated[int, "Number of states for Python and native C.", Within(10, 10_000_000)] = 100_000,
+    states: Annotated[int, "Number of states for Python and native C.", opt.Within(10, 10_000_000)] = 100_000,
     chip_states: Annotated[
         int | None,
         "How many of the states the virtual chip decides too.  [default: all]",
-        Within(0, 10_000_000),
+        opt.Within(0, 10_000_000),
     ] = None,
     loop_decisions: Annotated[
-        int, "Number of decisions of the closed-loop run, from fixes to decisions.", Within(0, 100_000)
+        int, "Number of decisions of the closed-loop run, from fixes to decisions.", opt.Within(0, 100_000)
     ] = LOOP_DECISIONS,
-    tables: TablesOption = None,
-    model: ModelOption = None,
-    planner: PlannerOption = PlannerName.paper,
-    depth: DepthOption = None,
-    seed: SeedOption = 0,
-    json: JsonOption = False,
+    tables: opt.Tables = None,
+    model: opt.Model = None,
+    planner: opt.Planner = opt.PlannerName.paper,
+    depth: opt.Depth = None,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Make the same decisions in Python, in native C and on the virtual chip, and count differing bits.
 
@@ -117,14 +103,14 @@ def _compared(result: dict[str, Any]) -> str:
 
 def validate(
     data_dir: Annotated[Path, typer.Argument(help="Folder of the paper's data: sim/, exp/, profile/.")],
-    robot: RobotFileOption = "frog2022",
+    robot: opt.RobotFile = "frog2022",
     report: Annotated[Path | None, "HTML report to write."] = None,
     left_out: Annotated[
         bool, "Match the robot's constants again without each EGaIn fraction; this takes minutes."
     ] = False,
-    workers: WorkersOption = 0,
+    workers: opt.Workers = 0,
     check: Annotated[bool, typer.Option(help="Exit with code 1 if a limit is missed.")] = False,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Compare the model with every simulation and measured swim of a data folder.
 
@@ -203,15 +189,15 @@ def _with_rate(bar: Callable[[int, int], None]) -> Callable[[int, int], None]:
 
 def sweep(
     out: Annotated[Path, "Folder for the results; an interrupted sweep resumes there."],
-    robot: RobotArgument = "frog2022",
+    robot: opt.RobotArgument = "frog2022",
     frequencies: Annotated[
         str | None, "Frequencies in Hz, such as 0.4,0.5; default: those measured for each fraction."
     ] = None,
-    phases: Annotated[int, "Number of phase offsets, evenly spaced from 0.", Within(1, 1000)] = 10,
+    phases: Annotated[int, "Number of phase offsets, evenly spaced from 0.", opt.Within(1, 1000)] = 10,
     egain: Annotated[str | None, "EGaIn fractions in %, such as 10,30; default: the measured ones."] = None,
-    workers: WorkersOption = 0,
-    cluster: ClusterOption = None,
-    json: JsonOption = False,
+    workers: opt.Workers = 0,
+    cluster: opt.Cluster = None,
+    json: opt.Json = False,
 ) -> None:
     """Simulate every EGaIn fraction, frequency and phase offset, and rank by speed and cost of transport.
 

@@ -13,17 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import (
-    JsonOption,
-    KeyOption,
-    ModelOption,
-    SeedOption,
-    TablesOption,
-    TargetOption,
-    WorldOption,
-    say,
-    show,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import say, show
 from frogkick.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,12 +48,12 @@ class Lines:
 
 
 def serve_pool(
-    tables: TablesOption = None,
-    model: ModelOption = None,
+    tables: opt.Tables = None,
+    model: opt.Model = None,
     virtual: Annotated[
         bool, "Run the robot's firmware on the virtual chip, instead of its C core on this computer."
     ] = False,
-    world: WorldOption = None,
+    world: opt.World = None,
     camera: Annotated[
         Path | None,
         "Calibration (.toml) whose camera, pool and tag are rendered; default: 640 x 480 px of a pool of "
@@ -79,8 +70,8 @@ def serve_pool(
         Path | None, "Name for the serial port, made as a link; default: the system's name."
     ] = None,
     port: Annotated[int, "TCP port of the camera's pictures; 0: a free one."] = 0,
-    seed: SeedOption = 0,
-    json: JsonOption = False,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Serve a simulated robot in real time: a serial port for --robot, and a camera's pictures for --source.
 
@@ -140,11 +131,11 @@ def text_of(pushed: Pushed, target: str) -> str:
 
 
 def push(
-    robot: TargetOption,
+    robot: opt.Target,
     tables: Annotated[Path | None, typer.Argument(help="Table image (.fkt).")] = None,
     rollback: Annotated[bool, "Return to the previous table instead."] = False,
-    key: KeyOption = None,
-    json: JsonOption = False,
+    key: opt.Key = None,
+    json: opt.Json = False,
 ) -> None:
     """Send a robot another table by Bluetooth or serial line. It is disarmed and keeps the previous table."""
     from frogkick.front.robots import connect, push_table, require_target
@@ -161,12 +152,12 @@ def push(
 
 
 def own(
-    robot: TargetOption,
+    robot: opt.Target,
     key: Annotated[
         Path | None, "Key file, which is made if it does not exist; default: the user's owner.key."
     ] = None,
     release: Annotated[bool, "Let anybody command the robot again."] = False,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Restrict a robot to the commands of its owner, who has a key. DISARM and STOP never need the key.
 
@@ -189,7 +180,7 @@ def own(
 
 def scan(
     seconds: Annotated[float, "Time to listen, 0.5 to 60."] = 4.0,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """List the robots in Bluetooth range with signal, table and state, the strongest signal first.
 

@@ -19,20 +19,8 @@ else:
     import tty
 
 import frogkick as fk
-from frogkick.cli.common import (
-    DepthOption,
-    JsonOption,
-    KeyOption,
-    PlannerName,
-    PlannerOption,
-    PlanWhere,
-    SeedOption,
-    TablesOption,
-    WorldOption,
-    say,
-    show,
-    stderr,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import say, show, stderr
 
 
 @contextmanager
@@ -114,8 +102,9 @@ def run(
         "real robot.",
     ] = "virtual",
     plan: Annotated[
-        PlanWhere, "Who decides: the robot (onboard), the host, or the robot while the host checks it (both)."
-    ] = PlanWhere.onboard,
+        opt.PlanWhere,
+        "Who decides: the robot (onboard), the host, or the robot while the host checks it (both).",
+    ] = opt.PlanWhere.onboard,
     path: Annotated[
         str,
         "line, sine, ellipse, circle, bends, eight, or a CSV file with the columns x, y in m (and dx, dy or "
@@ -132,8 +121,8 @@ def run(
         "At the path's end circle it, within 100 mm if the robot turns tightly enough, until a path of "
         "--then takes over, --simulated-time is over, or the run is stopped.",
     ] = False,
-    planner: PlannerOption = PlannerName.robot,
-    depth: DepthOption = None,
+    planner: opt.Planner = opt.PlannerName.robot,
+    depth: opt.Depth = None,
     learn: Annotated[
         bool,
         "Learn while swimming what each limb has lost, and plan with it. A robot goes on from what it "
@@ -144,7 +133,7 @@ def run(
         "Walls to keep away from: X,Y,X,Y in m of two opposite corners of the pool, or pool: those of the "
         "calibration that --fixes gives.",
     ] = None,
-    tables: TablesOption = None,
+    tables: opt.Tables = None,
     model: Annotated[str | None, "Robot TOML file or built-in name; default: the table's robot."] = None,
     simulated_time: Annotated[
         float, "Time limit of the run in pool time, s; for a real robot in real time."
@@ -164,8 +153,8 @@ def run(
     dialect: Annotated[
         str, "Protocol of a real robot: frogkick, or frog2022 (the text of the authors' firmware)."
     ] = "frogkick",
-    world: WorldOption = None,
-    seed: SeedOption = 0,
+    world: opt.World = None,
+    seed: opt.Seed = 0,
     out: Annotated[Path | None, "Log file to write (HDF5)."] = None,
     view: Annotated[
         bool,
@@ -178,9 +167,9 @@ def run(
         "Voltage of a real robot's lowest battery, measured at rest with a meter. A voltage that is too low "
         "is refused.",
     ] = None,
-    key: KeyOption = None,
+    key: opt.Key = None,
     yes: Annotated[bool, "Arm a real robot without asking for Enter."] = False,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Follow a path in closed loop: position fixes come in, and strokes go out.
 

@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import (
-    DepthOption,
-    JsonOption,
-    RobotArgument,
-    RobotFileOption,
-    SeedOption,
-    Within,
-    group,
-    show,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import show
 from frogkick.core.files import require_writable
 from frogkick.report.style import write_picture
 
@@ -29,7 +21,7 @@ if TYPE_CHECKING:
 
 def demo(
     out: Annotated[Path, "Folder for all results."] = Path("demo"),
-    robot: RobotFileOption = "frog2022",
+    robot: opt.RobotFile = "frog2022",
     states: Annotated[
         int | None,
         typer.Option(
@@ -39,9 +31,9 @@ def demo(
             show_default=False,
         ),
     ] = None,
-    depth: DepthOption = None,
-    seed: SeedOption = 0,
-    json: JsonOption = False,
+    depth: opt.Depth = None,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Simulate, make tables, build the firmware and swim on the virtual chip.
 
@@ -88,7 +80,7 @@ def _hint(finding: Finding) -> str:
     return f" -> {finding.install}" if finding.install and finding.install not in finding.detail else ""
 
 
-def doctor(json: JsonOption = False) -> None:
+def doctor(json: opt.Json = False) -> None:
     """Check which tools this machine has. The exit code is 1 if the simulation loop cannot run here."""
     from frogkick.front.readiness import check_machine
 
@@ -116,7 +108,7 @@ def doctor(json: JsonOption = False) -> None:
         raise typer.Exit(1)
 
 
-def list_robots(json: JsonOption = False) -> None:
+def list_robots(json: opt.Json = False) -> None:
     """List the built-in robots."""
     names = fk.built_in_robots()
     robots = [fk.load_robot(name) for name in names]
@@ -143,7 +135,7 @@ def new_robot(
         str, typer.Option("--from", help="Built-in name or TOML file to start from.")
     ] = "frog2022",
     limbs: Annotated[int | None, "Number of limbs to keep, from the first; default: all."] = None,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Write a complete robot file to start from, with a comment on every key."""
     from frogkick.front.describing import write_new_robot
@@ -162,13 +154,13 @@ def fit_stroke(
         ),
     ],
     out: Annotated[Path, "TOML file to write, for the key profiles_file of a robot."],
-    egain_percent: Annotated[float, "EGaIn fraction of the limb's alloy, %.", Within(0.0, 100.0)] = 0.0,
+    egain_percent: Annotated[float, "EGaIn fraction of the limb's alloy, %.", opt.Within(0.0, 100.0)] = 0.0,
     frequency_hz: Annotated[
         float | None, "Strokes per second; default: one over the last time of each file."
     ] = None,
     length_m: Annotated[float | None, "Length of the limb, needed if its tip was tracked."] = None,
     picture: Annotated[Path | None, "PNG to write, of the measured strokes and the fits."] = None,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Fit limb profiles to measured strokes: how the curvature falls and recovers."""
     from frogkick.front.describing import fit_strokes
@@ -183,9 +175,9 @@ def fit_stroke(
 
 
 def show_robot(
-    robot: RobotArgument = "frog2022",
+    robot: opt.RobotArgument = "frog2022",
     out: Annotated[Path | None, "Picture to write (.png, .svg or .pdf)."] = None,
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Show a robot in numbers, and draw it as it is simulated: nodes, frame, limbs at rest and active.
 
@@ -208,7 +200,7 @@ def show_robot(
 
 def draw_frames(
     out: Annotated[Path, "Picture to write (.png, .svg or .pdf)."],
-    json: JsonOption = False,
+    json: opt.Json = False,
 ) -> None:
     """Draw the frames and units that files, options and logs use: pool, robot, tag and heights."""
     require_writable(out)
@@ -243,7 +235,7 @@ def _robot_text(robot: fk.Robot, facts: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-robot = group(
+robot = opt.group(
     "List and show robots, and write the file of a new one.",
     {
         "list": list_robots,

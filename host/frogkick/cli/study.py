@@ -15,33 +15,22 @@ from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
-from frogkick.cli.common import (
-    DepthOption,
-    JsonOption,
-    ModelOption,
-    NominalOption,
-    PlannerOption,
-    RobotFileOption,
-    SeedOption,
-    TablesOption,
-    UnseenOption,
-    WorkersOption,
-    show,
-)
+from frogkick.cli import options as opt
+from frogkick.cli.common import show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.report.style import write_picture
 
 SHARED: dict[tuple[str, str], Any] = {
-    ("seed", "int"): SeedOption,
-    ("depth", "int | None"): DepthOption,
-    ("model", "str | None"): ModelOption,
-    ("robot", "str | None"): NominalOption,
-    ("robot", "str"): RobotFileOption,
-    ("planner", "str"): PlannerOption,
-    ("tables", "Path | None"): TablesOption,
-    ("workers", "int"): WorkersOption,
-    ("swims", "str"): UnseenOption,
+    ("seed", "int"): opt.Seed,
+    ("depth", "int | None"): opt.Depth,
+    ("model", "str | None"): opt.Model,
+    ("robot", "str | None"): opt.Nominal,
+    ("robot", "str"): opt.RobotFile,
+    ("planner", "str"): opt.Planner,
+    ("tables", "Path | None"): opt.Tables,
+    ("workers", "int"): opt.Workers,
+    ("swims", "str"): opt.Unseen,
 }
 """The shared options, by the name and type of a configuration's field."""
 
@@ -66,7 +55,7 @@ def command(name: str) -> Callable[..., None]:
         if get_origin(hints[field.name]) is Annotated
         else SHARED[field.name, str(field.type)]
         for field in fields(config)
-    } | {"json": JsonOption}
+    } | {"json": opt.Json}
     defaults = {
         field.name: Parameter.empty if field.default is MISSING else field.default for field in fields(config)
     }

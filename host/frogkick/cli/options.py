@@ -1,0 +1,112 @@
+"""Options that commands share, and how a command's arguments become options; written ``opt.Seed``."""
+
+from __future__ import annotations
+
+import enum
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_args
+
+import typer
+from typer.core import TyperGroup
+
+PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
+PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
+Sampling = enum.StrEnum("Sampling", ["box", "visited", "planned"])
+
+
+class Within(NamedTuple):
+    """The range of an option's numbers."""
+
+    min: float
+    max: float | None = None
+
+
+# A type, a text and perhaps a range are the option "--name" with that help, see ``with_options``.
+Json = Annotated[bool, "Print one JSON object and nothing else."]
+Seed = Annotated[int, "Seed of all random numbers; the same seed gives the same result.", Within(0)]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Compute on this Dask scheduler, such as tcp://host:8786, instead of on this computer.",
+    ),
+]
+
+Tables = Annotated[
+    Path | None, "Table image (.fkt); default: one that is made from a small library on first use."
+]
+Planner = Annotated[
+    PlannerName,
+    "Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and depth 1.",
+]
+Depth = Annotated[int | None, "Search depth in strokes; default: the planner's own.", Within(1, 4)]
+Key = Annotated[
+    Path | None, "Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
+]
+Target = Annotated[
+    str, typer.Option("--robot", metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
+]
+Workers = Annotated[int, "Number of processes; 0: one for each core.", Within(0, 256)]
+RobotArgument = Annotated[str, typer.Argument(help="TOML file or built-in name.")]
+RobotFile = Annotated[str, typer.Option("--robot", "--model", help="TOML file or built-in name.")]
+Model = Annotated[
+    str | None,
+    typer.Option("--robot", "--model", help="Robot TOML file or built-in name; default: the table's robot."),
+]
+Laws = Annotated[
+    bool,
+    "If the catalogue leaves more than noise, search formulas as well: springs, sloshing, limbs that break "
+    "or depend on the heading. With --no-laws the search ends with the catalogue.",
+]
+Nominal = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        "--model",
+        help="Nominal robot, as TOML file or built-in name; default: the robot of the runs.",
+    ),
+]
+
+Unseen = Annotated[Sampling, "How the unseen states are drawn, as for 'library build'."]
+World = Annotated[Path | None, "TOML file of effects that act in the pool but are in no model."]
+
+
+class WholeLines(TyperGroup):
+    """A group whose help shows the whole first sentence of each command."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write names and sentences."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, each.get_short_help_str(limit=200)) for name, each in self.commands.items()]
+            )
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose arguments ``Annotated[type, "help", Within(...)]`` are options with that help.
+
+    A switch that is off by default has no ``--no-name``.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    parameters = []
+    for parameter in signature.parameters.values():
+        annotation = parameter.annotation
+        kind, *notes = get_args(annotation) or (annotation,)
+        if notes and isinstance(notes[0], str):
+            named = [f"--{parameter.name.replace('_', '-')}"] if parameter.default is False else []
+            limits = notes[1]._asdict() if len(notes) > 1 else {}
+            annotation = Annotated[kind, typer.Option(*named, help=notes[0], **limits)]
+        parameters.append(parameter.replace(annotation=annotation))
+    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def group(text: str, commands: Mapping[str, Callable[..., None]]) -> typer.Typer:
+    """Return a group of commands by their names; ``text`` is its help."""
+    made = typer.Typer(cls=WholeLines, help=text, no_args_is_help=True)
+    for name, command in commands.items():
+        made.command(name)(with_options(command))
+    return made

@@ -192,29 +192,26 @@ def scan(seconds: float = 4.0) -> list[RobotHeard]:
 
     heard = listen(seconds)
     names = [one.name for one in heard]
-    found = []
+    layout, found = link_layout(), []
+    states = {number: name for name, number in layout.state.items()}
     for one in heard:
         alone = one.name and names.count(one.name) == 1
         seen = RobotHeard(f"ble:{one.name if alone else one.address}", one.address, one.signal_dbm)
-        found.append(_with_what_it_says(seen))
+        try:
+            with connect(f"ble:{one.address}") as bot:
+                status = bot.status()
+        except FrogkickError as error:
+            found.append(replace(seen, error=str(error)))
+            continue
+        seen = replace(
+            seen,
+            robot=str(status["robot_id"]),
+            table_crc=int(status["table_crc"]),
+            state=states.get(int(status["state"]), str(status["state"])),
+            owned=status["owner"] != layout.owner["OPEN"],
+        )
+        found.append(seen)
     return found
-
-
-def _with_what_it_says(heard: RobotHeard) -> RobotHeard:
-    layout = link_layout()
-    states = {number: name for name, number in layout.state.items()}
-    try:
-        with connect(f"ble:{heard.address}") as bot:
-            status = bot.status()
-    except FrogkickError as error:
-        return replace(heard, error=str(error))
-    return replace(
-        heard,
-        robot=str(status["robot_id"]),
-        table_crc=int(status["table_crc"]),
-        state=states.get(int(status["state"]), str(status["state"])),
-        owned=status["owner"] != layout.owner["OPEN"],
-    )
 
 
 def require_target(target: str, others: tuple[str, ...] = ()) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.extras import EXTRAS, require
 from frogkick.core.files import require_writable, sole_writer
-from frogkick.core.progress import Progress, progress_bar, shown
+from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, read_world
 from frogkick.front.bench import (
     Bench,
@@ -323,7 +323,9 @@ def run(
     with ExitStack() as stack:
         stack.enter_context(sole_writer(target))
         image = stack.enter_context(used.file())
-        said = stack.enter_context(_progress_of(progress, desired, used, check))
+        tell = stack.enter_context(shown(progress, desired.name))
+        limbs = [limb.name for limb in described.limbs]
+        said = RunProgress(tell, len(desired), used.tables, check, limbs)
         if is_real:
             sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
             owner = None if key is None else Path(key)
@@ -364,8 +366,10 @@ def run(
                 made=made,
             )
             with log_so_far(target, whole) as keep:
-                tell, session = _in_turn(said.keep, draw, keep), Session(port)
-                recording = run_session(session, pool, used.tables, desired, options, said.progress, tell)
+                write = _in_turn(said.keep, draw, keep)
+                recording = run_session(
+                    Session(port), pool, used.tables, desired, options, said.progress, write
+                )
     log_seed = None if is_real else seed
     kept_log = run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known, made)
     found = Run(**vars(kept_log), checked={} if check is None else check.as_json())
@@ -389,23 +393,6 @@ def _now_unix_s() -> float:
     except (ValueError, OverflowError, OSError):
         raise InputError(f"SOURCE_DATE_EPOCH is {fixed!r}: give seconds since 1970, or unset it") from None
     return now_s
-
-
-@contextmanager
-def _progress_of(
-    progress: Progress, path: SwimPath, table: Table, check: LiveCheck | None
-) -> Iterator[RunProgress]:
-    limbs = [limb.name for limb in table.robot.limbs]
-    if progress is True:
-        with progress_bar(path.name) as tell:
-            yield RunProgress(tell, len(path), table.tables, check, limbs)
-        return
-
-    def plainly(done: int, whole: int, /, note: str = "") -> None:
-        if callable(progress):
-            progress(done, whole)
-
-    yield RunProgress(plainly, len(path), table.tables, check, limbs)
 
 
 def _in_turn(*keepers: Keep) -> Keep:

@@ -31,13 +31,21 @@ def horizon_line(horizon: Horizon) -> str:
     return f"{horizon.periods} periods ahead: {before} before, {after} after ({before.count} starts)"
 
 
+def _effect_lines(outcome: Outcome) -> list[str]:
+    """Return a line for each effect that was found, with the interval of each parameter."""
+    lines = []
+    for term, row in zip(outcome.terms, outcome.parameters, strict=True):
+        values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
+        lines.append(f"effect {term.title}: {values}")
+    return lines
+
+
 def _identified(outcome: Outcome) -> str:
     from frogkick.report.law_words import sentence_of
 
     lines = [f"verdict: {outcome.verdict}" + (f" ({outcome.reason})" if outcome.reason else "")]
-    for term, row in zip(outcome.terms, outcome.parameters, strict=True):
-        values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
-        lines.append(f"effect {term.title}: {values}")
+    for line, term in zip(_effect_lines(outcome), outcome.terms, strict=True):
+        lines.append(line)
         effect = term.effect()
         if isinstance(effect, fk.effects.Law):
             lines.append(f"  {sentence_of(effect)}")
@@ -199,9 +207,7 @@ def retune(
 def printed(made: Retuning, push: str | None = None) -> str:
     """Return the result as text for people; ``push`` is the robot that the tables were sent to."""
     lines = [f"verdict: {made.outcome.verdict}", f"held out: {made.held_out}"]
-    for term, row in zip(made.outcome.terms, made.outcome.parameters, strict=True):
-        values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
-        lines.append(f"effect {term.title}: {values}")
+    lines += _effect_lines(made.outcome)
     for name, error in (("old", made.before), ("new", made.after)):
         if error.count:
             lines.append(f"{name} tables: {error} RMS one period ahead ({error.count} periods)")

@@ -110,10 +110,7 @@ def simulate(
         {
             "speed_mps": result.speed_mps,
             "distance_m": result.distance_m,
-            # Without forward motion it is infinite, which JSON cannot hold.
-            "cost_of_transport": result.cost_of_transport
-            if math.isfinite(result.cost_of_transport)
-            else None,
+            "cost_of_transport": result.cost_of_transport,  # infinite without forward motion: shown as null
             **animated,
         },
         json,

@@ -8,16 +8,11 @@ from typing import Any
 
 
 def page_of(title: str, rows: Mapping[str, Any], figure: Any = None) -> str:
-    """Return the HTML of an object.
-
-    Args:
-        title: name of the object.
-        rows: name -> value; numbers are shown with four digits.
-        figure: a matplotlib figure to show below, or None.
-    """
+    """Return the HTML of an object: its name, its values, and below a matplotlib figure if there is one."""
+    texts = {name: f"{each:.4g}" if isinstance(each, float) else str(each) for name, each in rows.items()}
     cells = "".join(
-        f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(_text(value))}</td></tr>"
-        for name, value in rows.items()
+        f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
+        for name, text in texts.items()
     )
     picture = ""
     if figure is not None:
@@ -25,7 +20,3 @@ def page_of(title: str, rows: Mapping[str, Any], figure: Any = None) -> str:
 
         picture = f"<img style='max-width:100%' alt='{html.escape(title)}' src='{figure_uri(figure)}'>"
     return f"<div><b>{html.escape(title)}</b><table>{cells}</table>{picture}</div>"
-
-
-def _text(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

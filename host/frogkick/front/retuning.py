@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import require_writable
-from frogkick.core.progress import Progress, Tell, shown
+from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, effects_of
 from frogkick.front.html import page_of
 from frogkick.front.identifying import Given, LeftOut, log_of
@@ -146,19 +146,15 @@ def retune(
     left_out(unused)
     old = None if table is None else _carried(table, described)
     tools = _Tools(states, seed, workers or os.cpu_count() or 1)
-
-    def stage(title: str) -> AbstractContextManager[Tell]:
-        return shown(progress, title)
-
-    found = retuning.retune(swims, described, folder, tools, stage, old, laws)
-    if push is None or not found.better:
-        return Retuning(**vars(found), out=folder, left_out=unused)
-    try:  # the results stay even if sending fails
-        owner = None if key is None else Path(key)
-        sent = push_table(push, folder / TABLES, folder / BEFORE, progress, owner)
-    except FrogkickError as error:
-        return Retuning(**vars(found), out=folder, left_out=unused, not_pushed=error)
-    return Retuning(**vars(found), out=folder, left_out=unused, pushed=sent)
+    found = retuning.retune(swims, described, folder, tools, partial(shown, progress), old, laws)
+    sent = failed = None
+    if push is not None and found.better:
+        try:
+            owner = None if key is None else Path(key)
+            sent = push_table(push, folder / TABLES, folder / BEFORE, progress, owner)
+        except FrogkickError as error:  # the results stay
+            failed = error
+    return Retuning(**vars(found), out=folder, left_out=unused, pushed=sent, not_pushed=failed)
 
 
 def _carried(table: Table | Path | str, robot: Robot) -> bytes:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from frogkick.core.files import require_writable
-from frogkick.core.progress import Progress, Tell, shown
+from frogkick.core.progress import Progress, shown
 from frogkick.front.places import plan_config
 from frogkick.library.fitting import STATES
 from frogkick.robot import Robot, load_robot
@@ -49,9 +49,7 @@ def demonstrate(
     from frogkick.report.ring_page import write_ring_report
     from frogkick.ring import close, go_round
 
-    def bar(title: str) -> AbstractContextManager[Tell]:
-        return shown(progress, title)
-
+    bar = partial(shown, progress)
     levels = plan_config(described, "robot", depth).depth
     ring = go_round(described, folder, STATES if states is None else states, levels, seed, bar)
     close(ring, folder, seed, bar)

@@ -19,6 +19,7 @@ from frogkick.identification import calibrated as module
 from frogkick.identification.calibrated import best_end_deviance, calibrated_starts, end_deviance, refitted
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import EFFECT_PENALTY, Model, derivatives, rollouts_of
+from frogkick.identification.predict import Rollout
 from frogkick.identification.search import nominal_fit
 from frogkick.identification.segments import read_segments
 from frogkick.identification.terms import catalogue
@@ -128,8 +129,8 @@ def test_a_core_with_strays_is_no_worse_than_predictions_that_are_all_bad() -> N
 
 def ends_of(residuals: np.ndarray) -> Any:
     """A track and a run that differ by so much at the ends of periods, seen along the world's axes."""
-    nothing = np.zeros((len(residuals), 6))
-    rollout = SimpleNamespace(predicted=nothing[:, :3], start=nothing, failed=False)
+    none, nothing = np.empty(0), np.zeros((len(residuals), 6))
+    rollout = Rollout(none, none, none, none, nothing[:, :3], none, nothing, none, failed=False)
     return [rollout], [SimpleNamespace(measured=residuals)]
 
 

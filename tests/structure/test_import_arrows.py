@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.conftest import REPOSITORY, from_ci
-from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, circle, violations
+from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, circle, unknown, violations
 
 
 def plant(root: Path, files: dict[str, str]) -> list[str]:
@@ -32,6 +32,22 @@ def plant(root: Path, files: dict[str, str]) -> list[str]:
 
 def test_the_arrows_hold() -> None:
     assert violations(REPOSITORY) == []
+
+
+def test_every_module_that_is_imported_exists(tmp_path: Path) -> None:
+    assert unknown(REPOSITORY) == []
+    late = "def f():\n    from frogkick.core.mistakes import InputError\n"
+    plant(
+        tmp_path,
+        {"host/frogkick/der/mesh.py": late, "host/frogkick/der/rods.py": "from frogkick import der\n"},
+    )
+    assert unknown(tmp_path) == [
+        f"{place} does not exist"
+        for place in (
+            "host/frogkick/der/mesh.py:2 frogkick.core.mistakes.InputError",
+            "host/frogkick/library/build.py:1 frogkick.tables.image",
+        )
+    ]
 
 
 def test_the_arrows_run_one_way() -> None:

@@ -41,7 +41,7 @@ def _effect_lines(outcome: Outcome) -> list[str]:
 
 
 def _identified(outcome: Outcome) -> str:
-    from frogkick.report.law_words import sentence_of
+    from frogkick.report.laws import sentence_of
 
     lines = [f"verdict: {outcome.verdict}" + (f" ({outcome.reason})" if outcome.reason else "")]
     for line, term in zip(_effect_lines(outcome), outcome.terms, strict=True):

@@ -19,7 +19,7 @@ import numpy as np
 
 from frogkick import library as libraries
 from frogkick.core.errors import InputError
-from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
+from frogkick.core.files import cache_folder, existing_file, one_at_a_time, write_bytes
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.front.html import page_of
 from frogkick.library import RECORD_S, Library, library_info
@@ -179,7 +179,7 @@ def _is_valid(target: Path) -> bool:
 
 def table_image(file: Path | str | None, robot: Robot | str | None) -> Path:
     """Return the given table image, or the default one of a robot."""
-    return default_tables(robot or DEFAULT_ROBOT) if file is None else Path(file)
+    return default_tables(robot or DEFAULT_ROBOT) if file is None else existing_file(file, "table image")
 
 
 def robot_of_table(file: Path, robot: Robot | str | None = None, opened: Tables | None = None) -> Robot:

@@ -27,14 +27,11 @@ Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
 
 
 class Requester(Protocol):
-    """The part of a session that sends commands.
-
-    Attributes:
-        window: number of commands that may wait for their answers at the same time.
-    """
+    """The part of a session that sends commands."""
 
     @property
-    def window(self) -> int: ...
+    def window(self) -> int:
+        """Number of commands that may wait for their answers at the same time."""
 
     def ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float = 1.0) -> list[dict[str, Value]]:
         """Send a command several times and wait for all answers; FrogkickError where one is missing."""

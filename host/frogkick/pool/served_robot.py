@@ -14,15 +14,9 @@ TRUTH_ROWS = 1000
 
 
 class ServedRobot:
-    """Bytes in, bytes out; the limbs that the robot actuates move it through the water.
+    """Bytes in, bytes out; the limbs that the robot actuates move it through the water."""
 
-    Attributes:
-        pose_world: x_m, y_m, heading_rad, true a moment ago.
-        behind_s: how far the simulation is behind the clock.
-        sleep_s: until the next tick; so long ago a picture shows at most what was true.
-    """
-
-    sleep_s = 0.005
+    sleep_s = 0.005  # until the next tick; so long ago a picture shows at most what was true
 
     def __init__(
         self,
@@ -41,8 +35,8 @@ class ServedRobot:
         self._lock = threading.Lock()
         self._pool_begin_s = time.monotonic() - pool.time_s
         self._start(flash)
-        self.pose_world = self._pose()
-        self.behind_s = 0.0
+        self.pose_world = self._pose()  # true a moment ago
+        self.behind_s = 0.0  # how far the simulation is behind the clock
 
     def feed(self, data: bytes) -> bytes:
         """Take bytes from the wire."""

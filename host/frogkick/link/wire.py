@@ -67,7 +67,7 @@ class Delivery(enum.Enum):
 
 
 class Wire:
-    """Bytes to and from a robot. A thread of the wire reads and reconnects, and ``receive`` takes what came."""
+    """Bytes to and from a robot. A thread of the wire reads and reconnects; ``receive`` takes what came."""
 
     name: str  # as the user gave it
     window: int  # number of commands that may wait for their answers at the same time

@@ -58,7 +58,6 @@ class Pool:
         self._captured = 0
         self._sent = 0
         self._waiting: list[tuple[float, int, Fix]] = []
-        self._arrived: list[Fix] = []
 
     @property
     def time_s(self) -> float:
@@ -93,14 +92,14 @@ class Pool:
         Raises:
             ConvergenceError: the rod simulation failed.
         """
+        arrived = []
         while self.next_event_s <= until_s:
             event_s = self.next_event_s
             if self._next_capture_s <= event_s:
                 self._capture()
             else:
-                self._arrived.append(heapq.heappop(self._waiting)[2])
+                arrived.append(heapq.heappop(self._waiting)[2])
         self._swim(until_s)
-        arrived, self._arrived = self._arrived, []
         return arrived
 
     def _swim(self, until_s: float) -> None:

@@ -214,18 +214,16 @@ class StackAnalysis:
             if conditional:
                 yield next_address
         elif one.id == arm.ARM_INS_BX or _PC in one.regs_access()[1] or _loads_pc(one):
-            returns = one.id != arm.ARM_INS_BX or first.reg == arm.ARM_REG_LR
-            if one.id == arm.ARM_INS_BX and not returns:
-                calls.add((depth, None))
-            elif one.id != arm.ARM_INS_BX and not name.startswith(("pop", "ldm", "ldr")):
+            if one.id == arm.ARM_INS_BX:
+                if first.reg != arm.ARM_REG_LR:
+                    calls.add((depth, None))
+            elif not name.startswith(("pop", "ldm", "ldr")):
                 raise ChipError(
                     f"{self._names[entry]} jumps to a computed place ({one.mnemonic} {one.op_str}): no bound"
                 )
             if conditional:
                 yield next_address
-        elif one.id == arm.ARM_INS_UDF:
-            return
-        else:
+        elif one.id != arm.ARM_INS_UDF:
             yield next_address
 
     def _table(self, one: Any, code: dict[int, Any]) -> Iterator[int]:
@@ -233,6 +231,8 @@ class StackAnalysis:
         size = 2 if one.mnemonic.startswith("tbh") else 1
         begin = at = one.address + one.size
         while not self._is_code(at):
+            if at >= FLASH_BYTES:
+                raise ChipError(f"there is no code behind the table at 0x{begin:08x}")
             entry = int.from_bytes(self._flash[at : at + size], "little")
             if begin + 2 * entry in code:
                 yield begin + 2 * entry

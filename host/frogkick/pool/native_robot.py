@@ -34,9 +34,7 @@ _CLEARED = 2  # number of the core's structures that the start-up clears; the ot
 def kept_wear(table_crc: int, lost: Sequence[int]) -> bytes:
     """RAM that survives resets (``fk_wear_persistent_t``) of a robot that learns what its limbs have lost.
 
-    Args:
-        table_crc: of its table.
-        lost: share that each limb has lost, 0 to 32767, as in ``Decision``.
+    ``lost``: the share of each limb, 0 to 32767, as in ``Decision``.
     """
     content = struct.pack("<10I", link_layout().learn["ON"], table_crc, *lost, *[0] * (8 - len(lost)))
     return content + struct.pack("<I", zlib.crc32(content))

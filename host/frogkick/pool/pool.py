@@ -43,10 +43,7 @@ class Pool:
             pose_world: x_m, y_m, heading_rad of its start.
             camera: rate, delay and noise of the fixes.
             rng: for the noise; random effects get streams of their own.
-            world: effects on the robot, the water and the camera.
-
-        Raises:
-            InputError: an effect that does not fit the robot.
+            world: effects on the robot, the water and the camera; InputError for one that does not fit.
         """
         self.robot = robot
         self.camera = camera
@@ -87,11 +84,7 @@ class Pool:
         self._acting.fire(self._swimmer, limb, start_s)
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Advance to a pool time; return the fixes that arrived, in order of arrival.
-
-        Raises:
-            ConvergenceError: the rod simulation failed.
-        """
+        """Advance to a pool time (ConvergenceError: the rods fail); return the fixes that arrived meanwhile."""
         arrived = []
         while self.next_event_s <= until_s:
             event_s = self.next_event_s

@@ -158,9 +158,7 @@ class VirtualChip:
     def send(self, data: bytes, at_us: float) -> None:
         """Put bytes on the UART's wire to the chip, at 115200 baud, after those on their way.
 
-        Args:
-            data: the bytes.
-            at_us: time of the first start bit, not before ``time_us``.
+        ``at_us``: time of the first start bit, not before ``time_us``.
         """
         cycle = round(at_us * CYCLES_PER_US)
         if cycle < self.cycles:
@@ -221,10 +219,9 @@ class VirtualChip:
 
     @ctrl_c_comes_after()
     def call(self, function: str, *arguments: int | float) -> tuple[int, int]:
-        """Let the sleeping chip call a function of its firmware.
+        """Let the sleeping chip call a C function of its firmware that returns.
 
         Args:
-            function: name of a C function that returns.
             arguments: words, or floats for float parameters, by AAPCS with FPU registers.
 
         Returns:

@@ -84,7 +84,7 @@ class Pool:
         self._acting.fire(self._swimmer, limb, start_s)
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Advance to a pool time (ConvergenceError: the rods fail); return the fixes that arrived meanwhile."""
+        """Advance to a pool time (ConvergenceError: the rods fail); return the fixes that arrived till then."""
         arrived = []
         while self.next_event_s <= until_s:
             event_s = self.next_event_s

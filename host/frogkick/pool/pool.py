@@ -84,7 +84,7 @@ class Pool:
         self._acting.fire(self._swimmer, limb, start_s)
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Advance to a pool time (ConvergenceError: the rods fail); return the fixes that arrived till then."""
+        """Advance to a pool time (ConvergenceError: the rods fail); return the fixes that have arrived."""
         arrived = []
         while self.next_event_s <= until_s:
             event_s = self.next_event_s

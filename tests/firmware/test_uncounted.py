@@ -19,23 +19,23 @@ def chip(tmp_path: Path) -> VirtualChip:
     return chip
 
 
-def test_a_function_gives_what_it_gives_on_the_chip(chip: VirtualChip, tmp_path: Path) -> None:
-    alone = UncountedCalls(tmp_path / "program.elf", chip)
+def test_a_function_gives_what_it_gives_on_the_chip(chip: VirtualChip) -> None:
+    alone = UncountedCalls(chip)
     assert alone.call("sum", 1, 10, 100, 1000, 10_000, 100_000) == 654_321
     assert alone.call("scaled", 2.5, 10, 4.0) == chip.call("scaled", 2.5, 10, 4.0)[0] == 29
     assert alone.call("slow", 10) == 7
 
 
-def test_its_ram_is_a_copy(chip: VirtualChip, tmp_path: Path) -> None:
+def test_its_ram_is_a_copy(chip: VirtualChip) -> None:
     chip.ram_write(RAM_BASE, b"\x01\x02")
-    alone = UncountedCalls(tmp_path / "program.elf", chip)
+    alone = UncountedCalls(chip)
     assert alone.ram_read(RAM_BASE, 2) == b"\x01\x02"
     alone.ram_write(RAM_BASE, b"\x03")
     assert (alone.ram_read(RAM_BASE, 2), chip.ram_read(RAM_BASE, 2)) == (b"\x03\x02", b"\x01\x02")
 
 
-def test_what_fails_is_told(chip: VirtualChip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    alone = UncountedCalls(tmp_path / "program.elf", chip)
+def test_what_fails_is_told(chip: VirtualChip, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = UncountedCalls(chip)
     with pytest.raises(ChipError, match="broken failed at 0x"):
         alone.call("broken")
     with pytest.raises(ChipError, match="no symbol 'nothing'"):

@@ -13,26 +13,22 @@ from typing import Annotated, NamedTuple, get_type_hints
 
 
 class Weight(NamedTuple):
-    """Declaration of a weight: a finite number of at least 0, or of a place: one of either sign.
+    """Declaration of a weight: a finite number of at least 0, or of a place: one of either sign."""
 
-    Attributes:
-        about: meaning with its unit, as a comment in a robot's file.
-        meaning: use in the planner, as a comment in C.
-        most: the largest value.
-        required: whether a robot's file must have it; otherwise the default is the paper's value.
-        least: 0, or -most of a place.
-    """
-
-    about: str
-    meaning: str
-    most: float = 1e6
-    required: bool = False
-    least: float = 0.0
+    about: str  # meaning with its unit, as a comment in a robot's file
+    meaning: str  # use in the planner, as a comment in C
+    most: float = 1e6  # the largest value
+    required: bool = False  # whether a robot's file must have it; otherwise the default is the paper's value
+    least: float = 0.0  # 0, or -most of a place
 
     @property
     def limits(self) -> tuple[float, float]:
         """The least and the largest value."""
         return self.least, self.most
+
+
+def _place(about: str, meaning: str) -> Weight:
+    return Weight(about, meaning, most=1000.0, least=-1000.0)
 
 
 @dataclass(frozen=True)
@@ -97,21 +93,12 @@ class Weights:
         "route: x the last motion, by which the robot glides on",
         most=100.0,
     )] = 0.0  # fmt: skip
-    wall_x_min_m: Annotated[float, Weight(
-        "m, world: least x of the robot's middle",
-        "route: where its middle may be, world",
-        most=1000.0,
-        least=-1000.0,
-    )] = -1000.0  # fmt: skip
-    wall_x_max_m: Annotated[float, Weight(
-        "m, world: largest x of the robot's middle", "likewise", most=1000.0, least=-1000.0
-    )] = 1000.0  # fmt: skip
-    wall_y_min_m: Annotated[float, Weight(
-        "m, world: least y of the robot's middle", "likewise", most=1000.0, least=-1000.0
-    )] = -1000.0  # fmt: skip
-    wall_y_max_m: Annotated[float, Weight(
-        "m, world: largest y of the robot's middle", "likewise", most=1000.0, least=-1000.0
-    )] = 1000.0  # fmt: skip
+    wall_x_min_m: Annotated[
+        float, _place("m, world: least x of the robot's middle", "route: where its middle may be, world")
+    ] = -1000.0
+    wall_x_max_m: Annotated[float, _place("m, world: largest x of the robot's middle", "likewise")] = 1000.0
+    wall_y_min_m: Annotated[float, _place("m, world: least y of the robot's middle", "likewise")] = -1000.0
+    wall_y_max_m: Annotated[float, _place("m, world: largest y of the robot's middle", "likewise")] = 1000.0
 
 
 WEIGHTS: Mapping[str, Weight] = {

@@ -88,12 +88,7 @@ def listen(scan_s: float) -> list[Heard]:
 
 
 class BleWire(Wire):
-    """A wire over Bluetooth. A robot that drops out is found again by its address and reconnected.
-
-    Attributes:
-        address: the robot's on this computer.
-        part_bytes: bytes in one write, as negotiated.
-    """
+    """A wire over Bluetooth. A robot that drops out is found again by its address and reconnected."""
 
     window = 4  # frames: the robot's receive buffer holds eight
 
@@ -114,8 +109,8 @@ class BleWire(Wire):
         self.name = f"ble:{place}"
         self._place, self._scan_s, self._reconnect_s = place, scan_s, reconnect_s
         self._greeting = greeting
-        self.address: str | None = None
-        self.part_bytes = 0
+        self.address: str | None = None  # the robot's on this computer
+        self.part_bytes = 0  # bytes in one write, as negotiated
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
         self._commands: _Queue = asyncio.Queue()

@@ -13,10 +13,6 @@ from typing import Any, Protocol
 
 from frogkick.core.errors import FrogkickError
 
-_PLAIN = (
-    "protocol_version", "payload_bytes_max",
-    "status", "state", "fault", "reset", "supply", "owner", "parameter", "learn",
-)  # fmt: skip
 _FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "char16": "16s"}
 
 _TRIES = 5
@@ -27,14 +23,11 @@ Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
 
 
 class Requester(Protocol):
-    """The part of a session that sends commands.
-
-    Attributes:
-        window: number of commands that may wait for their answers at the same time.
-    """
+    """The part of a session that sends commands."""
 
     @property
-    def window(self) -> int: ...
+    def window(self) -> int:
+        """Number of commands that may wait for their answers at the same time."""
 
     def ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float = 1.0) -> list[dict[str, Value]]:
         """Send a command several times and wait for all answers; FrogkickError where one is missing."""
@@ -221,10 +214,11 @@ def link_layout() -> Layout:
             _payload(table, "event"),
             table.get("needs_code", False),
         )
-        for name, table in raw["message"].items()
+        for name, table in raw.pop("message").items()
     }
-    records = {name: _record(name, raw["record"], messages) for name in raw["record"]}
-    return Layout(**{key: raw[key] for key in _PLAIN}, messages=messages, records=records)
+    tables = raw.pop("record")
+    records = {name: _record(name, tables, messages) for name in tables}
+    return Layout(**raw, messages=messages, records=records)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, Self
 
 from frogkick.core.errors import InputError
@@ -42,18 +41,13 @@ def require_pseudo_terminals() -> None:
 
 
 class PtyLine:
-    """A serial port with a robot behind it, in a thread, as long as the context lives.
-
-    Attributes:
-        received: bytes that came from the host so far.
-        error: what ended the robot's thread; None: nothing has.
-    """
+    """A serial port with a robot behind it, in a thread, as long as the context lives."""
 
     def __init__(self, link: Path | None, robot: Listener) -> None:
         """``link`` names the port, always the same; None: the pseudo-terminal's own name is the port's."""
         self.robot = robot
-        self.received = 0
-        self.error: Exception | None = None
+        self.received = 0  # bytes that came from the host so far
+        self.error: Exception | None = None  # what ended the robot's thread
         self._link = link
         self._name = ""
         self._lock = threading.Lock()
@@ -66,9 +60,7 @@ class PtyLine:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._closing.set()
         self._thread.join()
         self.pull_out()

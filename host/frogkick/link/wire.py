@@ -67,25 +67,18 @@ class Delivery(enum.Enum):
 
 
 class Wire:
-    """Bytes to and from a robot. A thread of the wire reads and reconnects; what it does not send waits here.
+    """Bytes to and from a robot. A thread of the wire reads and reconnects; ``receive`` takes what came."""
 
-    Attributes:
-        name: as the user gave it.
-        window: number of commands that may wait for their answers at the same time.
-        connections: number of connections so far.
-        is_up: whether it is connected now.
-    """
-
-    name: str
-    window: int
+    name: str  # as the user gave it
+    window: int  # number of commands that may wait for their answers at the same time
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._bell = Bell()
         self._arrived: list[tuple[float, bytes]] = []
         self._error: FrogkickError | None = None
-        self.connections = 0
-        self.is_up = False
+        self.connections = 0  # so far
+        self.is_up = False  # whether it is connected now
 
     def send(self, encoded: bytes, how: Delivery) -> None:
         """Send a frame with its delimiter; the frame is lost while the wire is down."""

@@ -45,21 +45,9 @@ class Camera:
 
 
 def measure(
-    camera: Camera,
-    sequence: int,
-    capture_s: float,
-    pose_world: Float64,
-    rng: np.random.Generator,
+    camera: Camera, sequence: int, capture_s: float, pose_world: Float64, rng: np.random.Generator
 ) -> Fix:
-    """The fix of a true pose.
-
-    Args:
-        camera: rate, delay and noise.
-        sequence: number of the fix.
-        capture_s: pool time of the picture.
-        pose_world: (3,) true x_m, y_m, heading_rad.
-        rng: for the noise, three draws for each fix.
-    """
+    """The fix of a true pose (3,) in a picture of pool time ``capture_s``; three draws from ``rng``."""
     sigma = np.array([camera.position_noise_m, camera.position_noise_m, camera.heading_noise_rad])
     noisy = np.asarray(pose_world, dtype=np.float64) + sigma * rng.standard_normal(3)
     noisy[2] = wrap_angle(noisy[2])

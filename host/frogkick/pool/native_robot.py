@@ -34,9 +34,7 @@ _CLEARED = 2  # number of the core's structures that the start-up clears; the ot
 def kept_wear(table_crc: int, lost: Sequence[int]) -> bytes:
     """RAM that survives resets (``fk_wear_persistent_t``) of a robot that learns what its limbs have lost.
 
-    Args:
-        table_crc: of its table.
-        lost: share that each limb has lost, 0 to 32767, as in ``Decision``.
+    ``lost``: the share of each limb, 0 to 32767, as in ``Decision``.
     """
     content = struct.pack("<10I", link_layout().learn["ON"], table_crc, *lost, *[0] * (8 - len(lost)))
     return content + struct.pack("<I", zlib.crc32(content))
@@ -74,10 +72,6 @@ class NativeRobot(SimulatedPort):
     Computing takes no simulated time, other than on the virtual chip. The port's clock runs through resets,
     the robot's starts again with each. Flash survives all resets; of the RAM only what the start-up does not
     clear survives a watchdog's.
-
-    Attributes:
-        calls: the turns of the core, if they are kept.
-        flash: bytes of its flash for tables, writable.
     """
 
     def __init__(
@@ -112,7 +106,7 @@ class NativeRobot(SimulatedPort):
         self._built_in = (self._core.fk_table_image, int(self._core.fk_table_image_bytes))
         slot_bytes = max(SLOT_BYTES_MIN, -(-self._built_in[1] // PAGE_BYTES) * PAGE_BYTES)
         self._words = self._ffi.new("uint32_t[]", (JOURNAL_BYTES + SLOTS * slot_bytes) // 4)
-        self.flash = self._ffi.buffer(self._words)
+        self.flash = self._ffi.buffer(self._words)  # for tables, writable
         if flash is not None and len(flash) != len(self.flash):
             raise InputError(
                 f"this robot's flash has {len(self.flash)} bytes, not {len(flash)}: give its own content"
@@ -137,7 +131,7 @@ class NativeRobot(SimulatedPort):
         self._sent_back: list[tuple[float, bytes]] = []
         self._edges: list[Edge] = []
         self._keep_calls = keep_calls
-        self.calls: list[CoreCall] = []
+        self.calls: list[CoreCall] = []  # the turns of the core, if they are kept
 
     def send(self, encoded: bytes, at_s: float) -> None:
         """Put bytes on the wire; the core's collector splits them. A frame arrives with its last byte."""

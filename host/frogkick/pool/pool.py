@@ -43,10 +43,7 @@ class Pool:
             pose_world: x_m, y_m, heading_rad of its start.
             camera: rate, delay and noise of the fixes.
             rng: for the noise; random effects get streams of their own.
-            world: effects on the robot, the water and the camera.
-
-        Raises:
-            InputError: an effect that does not fit the robot.
+            world: effects on the robot, the water and the camera; InputError for one that does not fit.
         """
         self.robot = robot
         self.camera = camera
@@ -58,7 +55,6 @@ class Pool:
         self._captured = 0
         self._sent = 0
         self._waiting: list[tuple[float, int, Fix]] = []
-        self._arrived: list[Fix] = []
 
     @property
     def time_s(self) -> float:
@@ -88,19 +84,15 @@ class Pool:
         self._acting.fire(self._swimmer, limb, start_s)
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Advance to a pool time; return the fixes that arrived, in order of arrival.
-
-        Raises:
-            ConvergenceError: the rod simulation failed.
-        """
+        """Advance to a pool time (ConvergenceError: the rods fail); return the fixes that have arrived."""
+        arrived = []
         while self.next_event_s <= until_s:
             event_s = self.next_event_s
             if self._next_capture_s <= event_s:
                 self._capture()
             else:
-                self._arrived.append(heapq.heappop(self._waiting)[2])
+                arrived.append(heapq.heappop(self._waiting)[2])
         self._swim(until_s)
-        arrived, self._arrived = self._arrived, []
         return arrived
 
     def _swim(self, until_s: float) -> None:

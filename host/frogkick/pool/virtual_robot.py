@@ -15,11 +15,7 @@ LIMB_PINS = (22, 23, 24, 25, 28, 29, 30, 31)
 
 
 class VirtualRobot(SimulatedPort):
-    """A port with real firmware, UARTE frames, and limbs seen at the pins.
-
-    Attributes:
-        chip: the virtual chip, for measurements.
-    """
+    """A port with real firmware, UARTE frames, and limbs seen at the pins of ``chip``."""
 
     def __init__(
         self,

@@ -60,7 +60,6 @@ class ChipPlanner:
             ChipError: it does not boot, or refuses its table.
         """
         self.chip = VirtualChip(elf, cost)
-        self._elf = elf
         self._uncounted: UncountedCalls | None = None
         self._types = Layouts(elf)
         for step in range(1, _BOOT_STEPS_MAX + 1):
@@ -130,7 +129,7 @@ class ChipPlanner:
         """
         core: VirtualChip | UncountedCalls = self.chip
         if not counted:
-            core = self._uncounted = self._uncounted or UncountedCalls(self._elf, self.chip)
+            core = self._uncounted = self._uncounted or UncountedCalls(self.chip)
             core.ram_write(self._path, self.chip.ram_read(self._path, self._types["fk_path_t"].itemsize))
         asked = np.zeros(len(states), dtype=self._types["fk_state_t"])
         for member, column in zip(_POSE_MEMBERS, states.T, strict=True):

@@ -87,10 +87,6 @@ class Peripheral:
 
     Registers with names from TASKS_ and EVENTS_ behave as in the product specification's chapter "Peripheral
     interface". A pair such as INTENSET and INTENCLR sets and clears the bits of one value ("INTEN").
-
-    Attributes:
-        name: instance, as in the SVD ("TIMER0").
-        base: address of its first register.
     """
 
     REGISTERS: ClassVar[list[Register]]
@@ -98,8 +94,8 @@ class Peripheral:
     RESET_VALUES: ClassVar[dict[str, int]] = {}
     PAIR_BITS: ClassVar[int]
 
-    name: str
-    base: int
+    name: str  # instance, as in the SVD ("TIMER0")
+    base: int  # address of its first register
 
     def __init__(self, system: VirtualChip) -> None:
         """Place it in a chip, in its reset state."""

@@ -34,6 +34,12 @@ from frogkick.pool.chip.uarte import Uarte
 
 _NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address
 _STACK_PAINT: Final = bytes([0xA5]) * 4
+_FAULTS: Final = {
+    Stop.WFI: "WFI: no interrupt is ever enabled in the NVIC, it would sleep for ever; use WFE",
+    Stop.FPU: "float instruction while SCB.CPACR does not allow the FPU: usage fault (NOCP)",
+    Stop.UNALIGNED: "usage fault: unaligned access to {} by one that cannot",
+    Stop.NONE: "the emulator stopped for no known reason",
+}
 
 
 class VirtualChip:
@@ -42,10 +48,6 @@ class VirtualChip:
     The same firmware and calls give the same cycles, bytes and edges, however ``run_until`` is divided. No
     interrupt is taken; WFE sleeps until an interrupt that is enabled at its peripheral becomes pending. An
     action of the firmware that is not modelled is a ``ChipError``, which stops the chip for good.
-
-    Attributes:
-        resets: times of the watchdog's resets, us.
-        sleeping: whether the core waits for an event.
     """
 
     def __init__(
@@ -63,11 +65,12 @@ class VirtualChip:
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
         self._target_cycle = 0
-        self.sleeping = self._hung = self._reset_due = False
+        self.sleeping = False  # whether the core waits for an event
+        self._hung = self._reset_due = False
         self._slept_parts = 0
         self._failed: ChipError | None = None
         self._invalid = ""
-        self.resets: list[float] = []
+        self.resets: list[float] = []  # times of the watchdog's resets, us
         self._access_error: ChipError | None = None
         self.power = Power(self)
         self.flash = Flash(self.fail)
@@ -155,9 +158,7 @@ class VirtualChip:
     def send(self, data: bytes, at_us: float) -> None:
         """Put bytes on the UART's wire to the chip, at 115200 baud, after those on their way.
 
-        Args:
-            data: the bytes.
-            at_us: time of the first start bit, not before ``time_us``.
+        ``at_us``: time of the first start bit, not before ``time_us``.
         """
         cycle = round(at_us * CYCLES_PER_US)
         if cycle < self.cycles:
@@ -218,10 +219,9 @@ class VirtualChip:
 
     @ctrl_c_comes_after()
     def call(self, function: str, *arguments: int | float) -> tuple[int, int]:
-        """Let the sleeping chip call a function of its firmware.
+        """Let the sleeping chip call a C function of its firmware that returns.
 
         Args:
-            function: name of a C function that returns.
             arguments: words, or floats for float parameters, by AAPCS with FPU registers.
 
         Returns:
@@ -313,16 +313,8 @@ class VirtualChip:
             self._table.decode_from(self._pc)
         elif why is Stop.WFE:
             self._wait_for_event()
-        elif why is Stop.WFI:
-            raise self.fail("WFI: no interrupt is ever enabled in the NVIC, it would sleep for ever; use WFE")
-        elif why is Stop.FPU:
-            raise self.fail("float instruction while SCB.CPACR does not allow the FPU: usage fault (NOCP)")
-        elif why is Stop.UNALIGNED:
-            raise self.fail(
-                f"usage fault: unaligned access to 0x{self._state.unaligned:08x} by one that cannot"
-            )
-        elif why is Stop.NONE:
-            raise self.fail("the emulator stopped for no known reason")
+        elif why in _FAULTS:
+            raise self.fail(_FAULTS[why].format(f"0x{self._state.unaligned:08x}"))
 
     def _wait_for_event(self) -> None:
         """WFE: pass if an event has occurred, else sleep."""

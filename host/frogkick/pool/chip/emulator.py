@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from unicorn import arm_const
@@ -17,7 +16,7 @@ from unicorn.unicorn_py3.unicorn import uclib
 from frogkick.core.interrupts import ctrl_c_comes_after
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, ChipError
 from frogkick.pool.chip.hook import HookState, Stop, load_hook, unicorn
-from frogkick.pool.chip.image import FirmwareImage, load_image
+from frogkick.pool.chip.image import FirmwareImage
 
 if TYPE_CHECKING:
     from frogkick.pool.chip.chip import VirtualChip
@@ -132,16 +131,11 @@ class UncountedCalls:
     chip's time: for functions of which only the bits matter, and that touch nothing but flash and RAM.
     """
 
-    def __init__(self, elf: Path, chip: VirtualChip) -> None:
-        """Copy a chip.
-
-        Args:
-            elf: the chip's image.
-            chip: booted and asleep; it is left alone from here on.
-        """
+    def __init__(self, chip: VirtualChip) -> None:
+        """Copy a chip that is booted and asleep; it is left alone from here on."""
         self._symbol = chip.symbol
         self._stack_top = chip.symbol("fk_stack_top")
-        self._uc = _bare_core(load_image(elf).flash, chip.ram_read(RAM_BASE, RAM_BYTES))
+        self._uc = _bare_core(chip.flash.content(), chip.ram_read(RAM_BASE, RAM_BYTES))
         # unicorn's own limit of instructions is a call for each of them, half of the time that all takes.
         self._state = HookState()
         _add_hooks(self._uc, self._state, {unicorn.UC_HOOK_BLOCK: "fk_hook_block"})

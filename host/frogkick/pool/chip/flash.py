@@ -29,13 +29,7 @@ BLOCK_WRITES_MAX: Final = 181
 
 
 class Flash:
-    """The flash behind NVMC.
-
-    Attributes:
-        mode: READ_ONLY, WRITE or ERASE.
-        words_written: since power-on.
-        erases: times that each page was erased since power-on, by its number.
-    """
+    """The flash behind NVMC."""
 
     def __init__(self, fail: Callable[[str], ChipError]) -> None:
         """``fail`` makes an error with the program's place in it."""
@@ -43,8 +37,8 @@ class Flash:
         self._uc: Any = None
         self._block_writes: Counter[int] = Counter()
         self.mode = READ_ONLY
-        self.words_written = 0
-        self.erases: Counter[int] = Counter()
+        self.words_written = 0  # since power-on
+        self.erases: Counter[int] = Counter()  # of each page since power-on, by its number
 
     def attach(self, uc: Any, state: HookState, on_error: Callable[[ChipError], None]) -> None:
         """Take the core's memory and time; ``on_error`` hears of writes that the flash does not take."""
@@ -52,10 +46,11 @@ class Flash:
         self._state = state
 
         def on_write(_uc: Any, _access: int, address: int, size: int, value: int, _data: Any) -> None:
-            try:
-                self._write(address, size, value & 0xFFFF_FFFF)
-            except ChipError as error:
-                on_error(error)
+            if self.mode == WRITE:  # else the core faults by itself
+                try:
+                    self._write(address, size, value & 0xFFFF_FFFF)
+                except ChipError as error:
+                    on_error(error)
 
         uc.hook_add(unicorn.UC_HOOK_MEM_WRITE, on_write, None, 0, FLASH_BYTES - 1)
         uc.ctl_flush_tb()  # code translated before a hook was added would not call it
@@ -63,15 +58,11 @@ class Flash:
     def configure(self, mode: int) -> None:
         """CONFIG was written: writes by the core pass only in mode WRITE."""
         self.mode = mode
-        access = unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC
         if self._uc is not None:
-            self._uc.mem_protect(
-                0, FLASH_BYTES, access | (unicorn.UC_PROT_WRITE if mode == WRITE else unicorn.UC_PROT_NONE)
-            )
+            access = unicorn.UC_PROT_ALL if mode == WRITE else unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC
+            self._uc.mem_protect(0, FLASH_BYTES, access)
 
     def _write(self, address: int, size: int, value: int) -> None:
-        if self.mode != WRITE:
-            return  # the core faults by itself
         if size != 4 or address % 4:
             raise self._fail(
                 f"write of {size} bytes to flash at 0x{address:08x}: only aligned words are taken"
@@ -90,7 +81,7 @@ class Flash:
                 "last erase"
             )
         self.words_written += 1
-        self._stall(WRITE_CYCLES)
+        self._state.time += WRITE_CYCLES * PARTS
 
     def require_erasable(self, address: int) -> None:
         """Refuse an erase."""
@@ -105,10 +96,7 @@ class Flash:
         for block in range(address // BLOCK_BYTES, (address + PAGE_BYTES) // BLOCK_BYTES):
             self._block_writes[block] = 0
         self.erases[address // PAGE_BYTES] += 1
-        self._stall(ERASE_CYCLES)
-
-    def _stall(self, cycles: int) -> None:
-        self._state.time += cycles * PARTS
+        self._state.time += ERASE_CYCLES * PARTS
 
     def word(self, address: int) -> int:
         """One word of it."""

@@ -75,9 +75,7 @@ class FirmwareImage:
 def load_image(path: Path | str, flash_before: bytes | None = None) -> FirmwareImage:
     """Read an ELF for the nRF52832.
 
-    Args:
-        path: the ELF.
-        flash_before: what the flash of such a chip held when it lost its power; None: what the ELF has.
+    ``flash_before``: what the flash of such a chip held when it lost its power; None: what the ELF has.
     """
     file = existing_file(path, "firmware image")
     flash = bytearray(b"\xff" * FLASH_BYTES)

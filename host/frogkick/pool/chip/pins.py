@@ -143,9 +143,6 @@ class Saadc(Peripheral):
     """Voltages at the analogue inputs, converted one after the other into RAM.
 
     Successive approximation, 12 bits, single-ended, 40 us to settle on each input.
-
-    Attributes:
-        works: whether conversions ever end.
     """
 
     name, base = "SAADC", 0x4000_7000
@@ -157,7 +154,7 @@ class Saadc(Peripheral):
         *array("rw", "CH[{}].CONFIG", 0x518, _INPUTS, 16),
     ]
 
-    works = True
+    works = True  # whether conversions ever end
 
     def __init__(self, system: VirtualChip, power: Power) -> None:
         """Disabled; ``power`` knows the voltages at the pins."""

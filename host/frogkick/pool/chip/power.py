@@ -32,12 +32,6 @@ class Power(Peripheral):
 
     Reasons add up over all resets but power-on; writing a one takes one back. The comparator warns when the
     supply falls below its threshold, or is below when it is switched on; of one that rises it says nothing.
-
-    Attributes:
-        supply_v: what the chip is supplied with; ``set_supply`` changes it.
-        input_v: voltages at the analogue inputs AIN0 to AIN7.
-        constant_latency: the mode that costs current asleep; a reset leaves the other.
-        crystal_works: whether the board's 32 MHz crystal ever starts.
     """
 
     name, base = "POWER", 0x4000_0000
@@ -47,15 +41,15 @@ class Power(Peripheral):
     ]
     INTERRUPT_EVENTS = {2: "EVENTS_POFWARN"}
 
-    supply_v = 3.0  # of Nordic's kit
-    constant_latency = False
-    crystal_works = True
+    supply_v = 3.0  # of Nordic's kit; ``set_supply`` changes it
+    constant_latency = False  # the mode that costs current asleep; a reset leaves the other
+    crystal_works = True  # whether the board's 32 MHz crystal ever starts
     _is_below = False
 
     def __init__(self, system: VirtualChip) -> None:
         """Well supplied, nothing at the analogue inputs."""
         super().__init__(system)
-        self.input_v = [0.0] * 8
+        self.input_v = [0.0] * 8  # at the analogue inputs AIN0 to AIN7
 
     def reset(self) -> None:
         """A reset of the chip: the comparator is off, the reasons stay, and so does the supply."""

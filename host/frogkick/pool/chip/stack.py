@@ -23,6 +23,7 @@ _SP = arm.ARM_REG_SP
 _ALWAYS = (arm.ARM_CC_AL, arm.ARM_CC_INVALID)
 _STORES = ("stmdb", "vstmdb", "stm", "vstm")
 _LOADS = ("ldm", "vldm", "ldmia", "vldmia")
+_Deepest = tuple[int, tuple[tuple[str, int], ...]]  # the first two of StackBound
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class StackAnalysis:
     def bound(self, function: str = "fk_reset") -> StackBound:
         """The deepest chain of calls from a function on."""
         entry = self._entry(function)
-        known: dict[int, tuple[int, tuple[tuple[str, int], ...]]] = {}
+        known: dict[int, _Deepest] = {}
         total, chain = self._deepest(entry, known, [])
         indirect = sorted(
             self._names[address]
@@ -92,9 +93,7 @@ class StackAnalysis:
                 return address
         raise ChipError(f"the firmware has no function {function!r}: build it unstripped")
 
-    def _deepest(
-        self, entry: int, known: dict[int, tuple[int, tuple[tuple[str, int], ...]]], active: list[int]
-    ) -> tuple[int, tuple[tuple[str, int], ...]]:
+    def _deepest(self, entry: int, known: dict[int, _Deepest], active: list[int]) -> _Deepest:
         if entry in known:
             return known[entry]
         name = self._names.get(entry, hex(entry))
@@ -102,7 +101,7 @@ class StackAnalysis:
             loop = " -> ".join(self._names[address] for address in [*active[active.index(entry) :], entry])
             raise ChipError(f"recursion, so no bound of the stack: {loop}")
         frame = self._frame(entry)
-        best: tuple[int, tuple[tuple[str, int], ...]] = (frame.deepest, ((name, frame.deepest),))
+        best: _Deepest = (frame.deepest, ((name, frame.deepest),))
         for depth, target in frame.calls:
             for callee in self._pointed_at() if target is None else [target]:
                 total, chain = self._deepest(callee, known, [*active, entry])
@@ -214,18 +213,16 @@ class StackAnalysis:
             if conditional:
                 yield next_address
         elif one.id == arm.ARM_INS_BX or _PC in one.regs_access()[1] or _loads_pc(one):
-            returns = one.id != arm.ARM_INS_BX or first.reg == arm.ARM_REG_LR
-            if one.id == arm.ARM_INS_BX and not returns:
-                calls.add((depth, None))
-            elif one.id != arm.ARM_INS_BX and not name.startswith(("pop", "ldm", "ldr")):
+            if one.id == arm.ARM_INS_BX:
+                if first.reg != arm.ARM_REG_LR:
+                    calls.add((depth, None))
+            elif not name.startswith(("pop", "ldm", "ldr")):
                 raise ChipError(
                     f"{self._names[entry]} jumps to a computed place ({one.mnemonic} {one.op_str}): no bound"
                 )
             if conditional:
                 yield next_address
-        elif one.id == arm.ARM_INS_UDF:
-            return
-        else:
+        elif one.id != arm.ARM_INS_UDF:
             yield next_address
 
     def _table(self, one: Any, code: dict[int, Any]) -> Iterator[int]:
@@ -233,6 +230,8 @@ class StackAnalysis:
         size = 2 if one.mnemonic.startswith("tbh") else 1
         begin = at = one.address + one.size
         while not self._is_code(at):
+            if at >= FLASH_BYTES:
+                raise ChipError(f"there is no code behind the table at 0x{begin:08x}")
             entry = int.from_bytes(self._flash[at : at + size], "little")
             if begin + 2 * entry in code:
                 yield begin + 2 * entry

@@ -25,9 +25,6 @@ class Timer(Peripheral):
     It counts by the crystal, or before that runs by the internal oscillator, slower. START begins a full tick
     of the prescaler; CLEAR begins the tick anew. A compare value that equals the counter when it is written
     matches only after the counter has gone all the way round.
-
-    Attributes:
-        draws: current, from START until SHUTDOWN, though it was stopped (erratum 78).
     """
 
     REGISTERS = [
@@ -46,7 +43,8 @@ class Timer(Peripheral):
         """Start stopped at 0."""
         self.name, self.base = f"TIMER{number}", 0x4000_8000 + 0x1000 * number
         super().__init__(system)
-        self._running = self.draws = False
+        self._running = False
+        self.draws = False  # current, from START until SHUTDOWN, though it was stopped (erratum 78)
         self._count = 0  # counter's value at _since, or now where it does not run by itself
         self._since = 0
         self._percent = HFINT_PERCENT  # time of a tick, of what it is by the crystal

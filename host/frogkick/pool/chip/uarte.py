@@ -129,9 +129,7 @@ class Uarte(Peripheral):
             self._start_reception()
 
     def _start_reception(self) -> None:
-        self._check_enabled("STARTRX", "RXD")
-        pointer, count = self._dma_buffer("RXD")
-        self._rx_pointer, self._rx_room = pointer, count
+        self._rx_pointer, self._rx_room = self._dma_buffer("STARTRX", "RXD")
         self.values["RXD.AMOUNT"] = 0
         self._receiver = _Receiver.FILLING
         self.system.scheduler.at(self._stopped, NEVER)
@@ -149,10 +147,7 @@ class Uarte(Peripheral):
     # Transmitter
 
     def _start_transmission(self) -> None:
-        self._check_enabled("STARTTX", "TXD")
-        if self._transmitting:
-            raise self.system.fail("UARTE0.TASKS_STARTTX while a transmission is under way: wait for ENDTX")
-        self._tx_pointer, self._tx_count = self._dma_buffer("TXD")
+        self._tx_pointer, self._tx_count = self._dma_buffer("STARTTX", "TXD")
         self._tx_done, self._tx_begin = 0, self.system.now_cycle
         self._transmitting = True
         self._begin_byte()
@@ -173,14 +168,15 @@ class Uarte(Peripheral):
 
     # Registers
 
-    def _check_enabled(self, task: str, line: str) -> None:
+    def _dma_buffer(self, task: str, line: str) -> tuple[int, int]:
+        """Address and length of the buffer of a direction that a task starts."""
         if self.values["ENABLE"] != _ENABLED:
             raise self.system.fail(f"UARTE0.TASKS_{task} while UARTE0.ENABLE is not 8: enable it first")
         if self.values[f"PSEL.{line}"] >> 31:
             raise self.system.fail(f"UARTE0.TASKS_{task} without a pin in PSEL.{line}: connect it first")
         self.allow("BAUDRATE", self.values["BAUDRATE"], (_BAUD_115200,))
-
-    def _dma_buffer(self, line: str) -> tuple[int, int]:
+        if line == "TXD" and self._transmitting:
+            raise self.system.fail("UARTE0.TASKS_STARTTX while a transmission is under way: wait for ENDTX")
         pointer, count = self.values[f"{line}.PTR"], self.values[f"{line}.MAXCNT"]
         if count == 0:
             raise self.system.fail(

@@ -35,21 +35,13 @@ INTERVALS = 120
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """A kind of law: formulas that are linear in their strengths, and a grid of shapes.
+    """A kind of law: formulas that are linear in their strengths, and a grid of shapes."""
 
-    Attributes:
-        title: its name in reports.
-        table: ``on``, ``limb`` and the formulas.
-        strengths: parameters that the effect is proportional to; at 0 it vanishes.
-        shapes: all other parameters.
-        grid: values of the shapes that are tried.
-    """
-
-    title: str
-    table: Mapping[str, str]
-    strengths: Numbers
-    shapes: Numbers = field(default_factory=dict)
-    grid: Sequence[Mapping[str, float]] = ({},)
+    title: str  # its name in reports
+    table: Mapping[str, str]  # ``on``, ``limb`` and the formulas
+    strengths: Numbers  # parameters that the effect is proportional to; at 0 it vanishes
+    shapes: Numbers = field(default_factory=dict)  # all other parameters
+    grid: Sequence[Mapping[str, float]] = ({},)  # values of the shapes that are tried
 
     @property
     def at_intervals(self) -> bool:
@@ -155,7 +147,9 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             "attraction",
             {
                 "on": "wrench",
-                **{f"{a}_n": f"-pull * near ** 2 * ({a}_m - at_{a}) / hypot({away}, near) ** 3" for a in "xy"},
+                **{
+                    f"{a}_n": f"-pull * near ** 2 * ({a}_m - at_{a}) / hypot({away}, near) ** 3" for a in "xy"
+                },
             },
             {"pull": ("N", -0.5, 0.5, 2e-3)}, {**where, "near": ("m", 0.01, 1.0, 0.02)},
             [{**place, "near": near} for place in places for near in (0.05, 0.12, 0.3)],
@@ -252,7 +246,10 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         both("fixes off from a moment on", "fix", "m", later, off, when, whens),
         both("fixes off at intervals", "fix", "m", between, off, interval, intervals),
         Kind("fixes late from a moment on", {"on": "fix", "delay_s": f"late * {later}"}, late, when, whens),
-        Kind("fixes late at intervals", {"on": "fix", "delay_s": f"late * {between}"}, late, interval, intervals),
+        Kind(
+            "fixes late at intervals", {"on": "fix", "delay_s": f"late * {between}"}, late, interval,
+            intervals,
+        ),
         Kind(
             "fixes bent by place",
             {"on": "fix", **{f"{axis}_m": f"bend * {axis}_m * (x_m ** 2 + y_m ** 2)" for axis in "xy"}},

@@ -77,17 +77,12 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Matched:
-    """Each fraction left out once.
+    """Each fraction left out once."""
 
-    Attributes:
-        parts: the results for each fraction.
-        rmse_mps: group of simulations -> RMSE of its speeds, each from the fit without its fraction.
-        within_cycle_rms_m: group -> RMS of the forward position within a cycle, likewise.
-    """
-
-    parts: tuple[LeftOut, ...]
+    parts: tuple[LeftOut, ...]  # the results for each fraction
+    # group of simulations -> RMSE of its speeds, each from the fit without its fraction
     rmse_mps: Mapping[str, float]
-    within_cycle_rms_m: Mapping[str, float]
+    within_cycle_rms_m: Mapping[str, float]  # group -> RMS of the forward position within a cycle, likewise
 
 
 def matched_without(

@@ -204,7 +204,6 @@ def plan(
     """The sequence of actions that discriminates two models best, by beam search.
 
     Args:
-        pair: the models.
         white: (9, 9) whitening matrix of residuals (Rollout.residuals).
         start: (3,) pose of the robot at rest, as the camera shows it.
         pool: (2, 2) see ``pool_of``.

@@ -149,7 +149,6 @@ def residuals_of(rollouts: Sequence[Rollout], rows: Bool | None = None) -> Float
     """(n, 9) residuals of all periods; see Rollout.residuals.
 
     Args:
-        rollouts: of all runs.
         rows: which of all their periods; by default those with fixes in every phase.
     """
     every = np.concatenate(
@@ -231,8 +230,6 @@ def derivatives(
     """Evaluate models with their Jacobians, all simulated in one batch.
 
     Args:
-        models: at the values to evaluate.
-        data: the runs.
         known: (n, 9, q) derivatives by the first q parameters of every model, which are not simulated again.
         fixed: also differentiate by fixed parameters; a fit does not need these, and they are zero without.
     """
@@ -305,8 +302,6 @@ def refresh_jacobian(
     """Refresh Jacobians at the present values; columns that are up to date are not simulated again.
 
     Args:
-        fits: the fits to refresh.
-        data: the runs.
         skipped: the first so many parameters keep their derivatives.
         fixed: see ``derivatives``.
     """
@@ -349,9 +344,6 @@ def fit_on(
     than the linearised optimum, or lost; or it was of an earlier point and the step still gained much.
 
     Args:
-        start_fits: where to start.
-        data: the runs.
-        steps_max: steps at most.
         skipped: the first so many parameters keep their derivatives.
         tolerance: a fall of the deviance that ends a fit.
     """

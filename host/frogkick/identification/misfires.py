@@ -151,8 +151,6 @@ def misfires_of(base: Fitted, data: Data, changes: Float64 | None = None) -> Mis
     """Select limbs that misfire by forward selection; None if no limb explains more than chance.
 
     Args:
-        base: the fitted model to which misfires are added.
-        data: the runs.
         changes: (n, 9, l) change of the residuals if a limb does nothing; None: simulated here.
     """
     model, swims, replicates = base.model, data.swims, data.replicate_count

@@ -87,7 +87,6 @@ class Outcome:
 
     Attributes:
         verdict: see frogkick.identification.verdict.
-        robot: nominal.
         train, test: the runs.
         found: result of the search; None if there was not enough data.
         parameters: intervals of the parameters of each term.
@@ -231,7 +230,6 @@ def identify(
 
     Args:
         train, test: runs to learn from, runs to predict.
-        robot: nominal.
         own: a file of the user's own effects.
         progress: called with a stage, steps done and to do, and what is being tried.
         measured: a fit may start from the values of calibrated built-in robots; without, only from their
@@ -411,7 +409,6 @@ def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Ter
     """The nominal robot's text with the effects found.
 
     Args:
-        outcome: of identification.
         folder: folder that paths of the user's effect files are relative to; None: the nominal robot's.
         terms: of those found, the ones to write; None: all.
     """

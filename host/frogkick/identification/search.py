@@ -148,7 +148,6 @@ def search(
 
     Args:
         data, nominal: see ``nominal_fit``.
-        candidates: the catalogue.
         progress: called with each stage, steps done and to do.
         most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
         columns: sensitivities of the candidates, where they are known.

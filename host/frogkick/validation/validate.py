@@ -118,7 +118,6 @@ def validate(
 
     Args:
         folder: laid out as ``frogkick.validation.measured`` says.
-        workers: processes.
 
     Raises:
         InputError: no such folder, or nothing in it.

@@ -66,6 +66,7 @@ class Segments:
     # (m/s, m/s, rad/s) root mean square velocity of the robot at rest, from frames before the first stroke
     # that came in order but without known times; None without enough of these
     rest_rate: tuple[float, float, float] | None = None
+    judged_from: int = 0  # only this period and later ones are judged
 
     @cached_property
     def begin_s(self) -> float:
@@ -113,8 +114,9 @@ class Segments:
 
     @cached_property
     def measured(self) -> Float64:
-        """(m, 3) pose at each period's end, from the fixes around it; NaN if there are too few."""
-        return np.array([self.pose_at(float(end)) for end in self.end_s]).reshape(-1, 3)
+        """(m, 3) pose at the ends of the judged periods, from the fixes around; NaN if there are too few."""
+        ends = [self.pose_at(float(end)) for end in self.end_s]
+        return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
 
     @cached_property
     def end_noise(self) -> Float64:

@@ -148,22 +148,21 @@ class Outcome:
 
     def effects_as_json(self) -> list[dict[str, Any]]:
         """What was found."""
-        effects = []
-        for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True)):
-            assert self.found is not None
-            effects.append(
-                {
-                    "name": term.name,
-                    **term.options,
-                    "parameters": {
-                        each.name: {"value": each.value, "interval": [each.low, each.high], "unit": each.unit}
-                        for each in row
-                    },
-                    "not_told_from": self.found.confounded_with[index],
-                    "stability": self.found.stability[index],
-                }
-            )
-        return effects
+        if self.found is None:
+            return []
+        return [
+            {
+                "name": term.name,
+                **term.options,
+                "parameters": {
+                    each.name: {"value": each.value, "interval": [each.low, each.high], "unit": each.unit}
+                    for each in row
+                },
+                "not_told_from": self.found.confounded_with[index],
+                "stability": self.found.stability[index],
+            }
+            for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True))
+        ]
 
     @cached_property
     def residuals(self) -> dict[str, Any] | None:

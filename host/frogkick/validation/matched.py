@@ -61,18 +61,12 @@ factor give the same motion."""
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A fraction that the constants were not matched to.
-
-    Attributes:
-        egain_percent: the fraction.
-        factors: constant -> its match to the other fractions over the robot's own value.
-        matched_mps, left_out_mps: RMSE of the speeds on the other fractions, and on this one.
-    """
+    """A fraction that the constants were not matched to."""
 
     egain_percent: float
-    factors: Mapping[str, float]
-    matched_mps: float
-    left_out_mps: float
+    factors: Mapping[str, float]  # constant -> its match to the other fractions over the robot's own value
+    matched_mps: float  # RMSE of the speeds on the other fractions
+    left_out_mps: float  # and on this one
 
 
 @dataclass(frozen=True)

@@ -296,20 +296,13 @@ PAPER_PHASE = 0.5
 
 @dataclass(frozen=True)
 class PaperWinner:
-    """A design that the paper names as one of its two best, simulated at phase 0.5.
-
-    Attributes:
-        authors_mps: speed over cycles 5 to 8 of the authors' published run.
-        speed_mps, cost_of_transport: the paper's figure, one of the two.
-        authors_mean_mps: mean speed over all PAPER_CYCLES cycles of that run from rest; only for the two
-            fastest.
-    """
+    """A design that the paper names as one of its two best, simulated at phase 0.5."""
 
     design: Design
-    authors_mps: float
-    speed_mps: float | None = None
+    authors_mps: float  # over cycles 5 to 8 of the authors' published run
+    speed_mps: float | None = None  # the paper's figure: this or the next
     cost_of_transport: float | None = None
-    authors_mean_mps: float | None = None
+    authors_mean_mps: float | None = None  # over all PAPER_CYCLES cycles from rest; for the two fastest
 
 
 # Huang 2022; the last decimals from the runs published with it.

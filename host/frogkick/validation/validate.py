@@ -59,21 +59,14 @@ class SimulationResult:
 
 @dataclass(frozen=True)
 class ExperimentResult:
-    """A measured swim, the authors' simulation of it if the data has one, and the model's.
-
-    Attributes:
-        reference: speed of the swim's own file, or of the table if there is no file.
-        tabulated_mps: the authors' tabulated speed of this gait; if there are several, the nearest.
-        model_mps, authors_mps: speeds of both simulations.
-        profile: origin of the limb's profile.
-    """
+    """A measured swim, the authors' simulation of it if the data has one, and the model's."""
 
     case: Case
-    reference: SteadySpeed
-    tabulated_mps: float | None
+    reference: SteadySpeed  # of the swim's own file, or of the table if there is no file
+    tabulated_mps: float | None  # the authors' speed of this gait; if there are several, the nearest
     model_mps: float
     authors_mps: float | None
-    profile: str
+    profile: str  # origin of the limb's profile
 
     @property
     def error_mps(self) -> float:

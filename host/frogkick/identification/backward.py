@@ -57,7 +57,6 @@ def revise(
     Where more than two terms remain, two of the best single effects replace them if they do as well.
 
     Args:
-        refiner: of the runs.
         current: result of the forward selection.
         confounded: for each term those that were confounded with it when it was taken.
         runners_up: for each term the models that were nearly as good then, with the one that was taken.
@@ -218,8 +217,6 @@ def _complements(model: Model, jacobian: Float64, before: int, gone: Term) -> li
     The complement acts with the opposite sign in the remaining part of each cycle.
 
     Args:
-        model: the model without a term.
-        jacobian: derivatives by its parameters.
         before, gone: index of the removed term, and the term. A constant delay of the fixes before a law on
             fixes shifts the times at which that law acts.
     """
@@ -278,8 +275,6 @@ def stability(fitted: Fitted, data: Data, searched: bool) -> list[float]:
     Meinshausen, Buehlmann 2010.
 
     Args:
-        fitted: with derivatives by all its parameters.
-        data: the training runs.
         searched: its terms were taken one by one; else jointly, and they share the penalty of one effect.
     """
     model = fitted.model

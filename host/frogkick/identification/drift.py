@@ -37,17 +37,12 @@ GAIN_MIN = 3.0
 
 @dataclass(frozen=True)
 class Drift:
-    """Random walk of the offsets. Entries are forward (m), left (m), heading (rad).
+    """Random walk of the offsets. Entries are forward (m), left (m), heading (rad)."""
 
-    Attributes:
-        size: (3,) size of the residuals without it: m, m, rad.
-        random_walk: (3,) variance gained in a period, in squares of that size; 0 = no drift on this axis.
-        huber_sigma: (3,) clipping threshold of innovations, in that size.
-    """
-
-    size: tuple[float, ...]
+    size: tuple[float, ...]  # (3,) size of the residuals without it: m, m, rad
+    # (3,) variance gained in a period, in squares of that size; 0 = no drift on this axis
     random_walk: tuple[float, ...]
-    huber_sigma: tuple[float, ...]
+    huber_sigma: tuple[float, ...]  # (3,) clipping threshold of innovations, in that size
 
     def as_json(self) -> dict[str, list[float]]:
         """The key ``drift`` of the command."""

@@ -204,7 +204,6 @@ def plan(
     """The sequence of actions that discriminates two models best, by beam search.
 
     Args:
-        pair: the models.
         white: (9, 9) whitening matrix of residuals (Rollout.residuals).
         start: (3,) pose of the robot at rest, as the camera shows it.
         pool: (2, 2) see ``pool_of``.
@@ -258,19 +257,12 @@ class RobotState:
 
 @dataclass(frozen=True, eq=False)
 class ActionSequence:
-    """A sequence of actions and the robots after it.
+    """A sequence of actions and the robots after it."""
 
-    Attributes:
-        actions: by index.
-        distance2: squared separation of both models so far.
-        robots: of both models.
-        shown: for each period the (n, 3) poses that the first one's camera shows at ``_instants``.
-    """
-
-    actions: tuple[int, ...]
-    distance2: float
-    robots: tuple[RobotState, ...]
-    shown: tuple[Float64, ...]
+    actions: tuple[int, ...]  # by index
+    distance2: float  # squared separation of both models so far
+    robots: tuple[RobotState, ...]  # of both models
+    shown: tuple[Float64, ...]  # (n, 3) poses that the first one's camera shows in each period
 
 
 class Side:

@@ -35,17 +35,12 @@ INITIAL_RATE_STD_MIN = (2e-4, 2e-4, 2e-3)
 
 @dataclass(frozen=True)
 class Noise:
-    """Measurement noise and process noise. Pairs are for x and y, and for the heading.
+    """Measurement noise and process noise. Pairs are for x and y, and for the heading."""
 
-    Attributes:
-        fix: standard deviation of a fix: m, rad.
-        idle: root of the density of the white acceleration at any time: m/s, rad/s per root second.
-        actuated: the same, in addition, while limbs straighten.
-    """
-
-    fix: tuple[float, float] = (0.3e-3, 0.005)
+    fix: tuple[float, float] = (0.3e-3, 0.005)  # standard deviation of a fix: m, rad
+    # root of the density of the white acceleration at any time: m/s, rad/s per root second
     idle: tuple[float, float] = (1e-3, 0.03)
-    actuated: tuple[float, float] = (5e-3, 0.2)
+    actuated: tuple[float, float] = (5e-3, 0.2)  # the same, in addition, while limbs straighten
 
     def per_axis(self) -> tuple[Float64, Float64, Float64]:
         """(3,) squares of each, for x, y and heading."""
@@ -63,21 +58,15 @@ def initial_rate_std(rest_rate: tuple[float, float, float] | None) -> tuple[floa
 
 @dataclass
 class Filter:
-    """Error-state Kalman filter of one lane.
-
-    Attributes:
-        actuated_s: (2, k) knots: time, and cumulative actuation time by then.
-        time_s: of the state.
-        rate_std: initial, of the rate (m/s, m/s, rad/s); see ``initial_rate_std``.
-        error: (3, 2) offset and rate.
-        covariance: (3, 3) offset's variance, covariance, rate's variance of each axis.
-    """
+    """Error-state Kalman filter of one lane."""
 
     noise: Noise
-    actuated_s: Float64
-    time_s: float
+    actuated_s: Float64  # (2, k) knots: time, and cumulative actuation time by then
+    time_s: float  # of the state
+    # initial, of the rate (m/s, m/s, rad/s); see ``initial_rate_std``
     rate_std: tuple[float, float, float] = INITIAL_RATE_STD
-    error: Float64 = field(default_factory=lambda: np.zeros((3, 2)))
+    error: Float64 = field(default_factory=lambda: np.zeros((3, 2)))  # (3, 2) offset and rate
+    # (3, 3) offset's variance, covariance, rate's variance of each axis
     covariance: Float64 = field(init=False)
 
     def __post_init__(self) -> None:
@@ -176,19 +165,12 @@ def _update_all(
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One coordinate of one lane: fix minus a simulation that was never corrected.
+    """One coordinate of one lane: fix minus a simulation that was never corrected."""
 
-    Attributes:
-        time_s: (n,) not decreasing.
-        actuated_s: (n,) cumulative actuation time by then.
-        difference: (n,).
-        rate_std: initial, of the rate.
-    """
-
-    time_s: Float64
-    actuated_s: Float64
-    difference: Float64
-    rate_std: float
+    time_s: Float64  # (n,) not decreasing
+    actuated_s: Float64  # (n,) cumulative actuation time by then
+    difference: Float64  # (n,)
+    rate_std: float  # initial, of the rate
 
 
 def deviances(series: Series, fix_std: Float64, idle_std: Float64, actuated_std: Float64) -> Float64:

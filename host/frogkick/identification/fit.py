@@ -52,23 +52,14 @@ WRENCH_LEG_S = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A robot with effects and noise.
+    """A robot with effects and noise."""
 
-    Attributes:
-        robot: nominal; the effects in its own file act too.
-        terms: the effects added to it.
-        noise: measurement and process noise.
-        leg_s: how often flows and wrenches are evaluated.
-        step_s: finest time step.
-        fixed: indices into ``values``: parameters that a fit does not change.
-    """
-
-    robot: Robot
-    terms: tuple[Term, ...]
-    noise: Noise
-    leg_s: float = LEG_S
-    step_s: float = STEP_S
-    fixed: frozenset[int] = frozenset()
+    robot: Robot  # nominal; the effects in its own file act too
+    terms: tuple[Term, ...]  # the effects added to it
+    noise: Noise  # measurement and process noise
+    leg_s: float = LEG_S  # how often flows and wrenches are evaluated
+    step_s: float = STEP_S  # finest time step
+    fixed: frozenset[int] = frozenset()  # indices into ``values``: parameters that a fit does not change
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -158,7 +149,6 @@ def residuals_of(rollouts: Sequence[Rollout], rows: Bool | None = None) -> Float
     """(n, 9) residuals of all periods; see Rollout.residuals.
 
     Args:
-        rollouts: of all runs.
         rows: which of all their periods; by default those with fixes in every phase.
     """
     every = np.concatenate(
@@ -186,23 +176,14 @@ def reestimated_noise(model: Model, rollouts: Sequence[Rollout], swims: Sequence
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model fitted to runs.
+    """A model fitted to runs."""
 
-    Attributes:
-        model: at the fitted values.
-        rollouts: of the runs.
-        residuals: (n, 9) of the periods that are used.
-        jacobian: (n, 9, p) derivatives of the residuals by the parameters.
-        deviance: minus twice the log likelihood of the residuals.
-        fresh: the Jacobian is of these values and this noise; else it is of an earlier point.
-    """
-
-    model: Model
-    rollouts: list[Rollout]
-    residuals: Float64
-    jacobian: Float64
-    deviance: float
-    fresh: bool = True
+    model: Model  # at the fitted values
+    rollouts: list[Rollout]  # of the runs
+    residuals: Float64  # (n, 9) of the periods that are used
+    jacobian: Float64  # (n, 9, p) derivatives of the residuals by the parameters
+    deviance: float  # minus twice the log likelihood of the residuals
+    fresh: bool = True  # the Jacobian is of these values and this noise; else it is of an earlier point
 
     @classmethod
     def of(cls, model: Model, rollouts: list[Rollout], data: Data, jacobian: Float64 | None = None) -> Fitted:
@@ -249,8 +230,6 @@ def derivatives(
     """Evaluate models with their Jacobians, all simulated in one batch.
 
     Args:
-        models: at the values to evaluate.
-        data: the runs.
         known: (n, 9, q) derivatives by the first q parameters of every model, which are not simulated again.
         fixed: also differentiate by fixed parameters; a fit does not need these, and they are zero without.
     """
@@ -323,8 +302,6 @@ def refresh_jacobian(
     """Refresh Jacobians at the present values; columns that are up to date are not simulated again.
 
     Args:
-        fits: the fits to refresh.
-        data: the runs.
         skipped: the first so many parameters keep their derivatives.
         fixed: see ``derivatives``.
     """
@@ -367,9 +344,6 @@ def fit_on(
     than the linearised optimum, or lost; or it was of an earlier point and the step still gained much.
 
     Args:
-        start_fits: where to start.
-        data: the runs.
-        steps_max: steps at most.
         skipped: the first so many parameters keep their derivatives.
         tolerance: a fall of the deviance that ends a fit.
     """

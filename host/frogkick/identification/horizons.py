@@ -75,7 +75,6 @@ def roll_out_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) 
     """Predict runs several periods ahead from the starts of their periods (open loop).
 
     Args:
-        lanes: runs, by robots with effects.
         ahead: periods, increasing.
         every: use every so manieth start of a run.
 

@@ -32,15 +32,10 @@ APART_S = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Jumps:
-    """How often fixes jump and how far.
+    """How often fixes jump and how far."""
 
-    Attributes:
-        chance: probability that a fix jumps, and the ends of its 95 % interval.
-        size_m: root mean square distance, and the ends of its interval.
-    """
-
-    chance: tuple[float, float, float]
-    size_m: tuple[float, float, float]
+    chance: tuple[float, float, float]  # probability that a fix jumps, and the ends of its 95 % interval
+    size_m: tuple[float, float, float]  # root mean square distance, and the ends of its interval
 
     @property
     def term(self) -> Term:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import product
 from typing import Any
@@ -35,21 +35,13 @@ INTERVALS = 120
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """A kind of law: formulas that are linear in their strengths, and a grid of shapes.
+    """A kind of law: formulas that are linear in their strengths, and a grid of shapes."""
 
-    Attributes:
-        title: its name in reports.
-        table: ``on``, ``limb`` and the formulas.
-        strengths: parameters that the effect is proportional to; at 0 it vanishes.
-        shapes: all other parameters.
-        grid: values of the shapes that are tried.
-    """
-
-    title: str
-    table: Mapping[str, str]
-    strengths: Numbers
-    shapes: Numbers
-    grid: Sequence[Mapping[str, float]]
+    title: str  # its name in reports
+    table: Mapping[str, str]  # ``on``, ``limb`` and the formulas
+    strengths: Numbers  # parameters that the effect is proportional to; at 0 it vanishes
+    shapes: Numbers = field(default_factory=dict)  # all other parameters
+    grid: Sequence[Mapping[str, float]] = ({},)  # values of the shapes that are tried
 
     @property
     def at_intervals(self) -> bool:
@@ -139,18 +131,16 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         return Kind(title, {"on": "wrench", **formulas}, {"drag": ("N s/m", -10.0, 10.0, 0.1)}, *shape)
 
     force, speed = ("N", -0.05, 0.05, 1e-3), ("m/s", -0.1, 0.1, 2e-3)
-    off, late = ("m", -0.05, 0.05, 1e-3), ("s", -0.5, 0.5, 0.02)
+    off, late = ("m", -0.05, 0.05, 1e-3), {"late": ("s", -0.5, 0.5, 0.02)}
     later = "(time_s > at)"
+    here = f"max(0, {away} - slack)"
+    stiff = {"stiffness": ("N/m", -2.0, 2.0, 0.02)}
+    size = {**where, "size": ("m", 0.02, 1.0, 0.02)}
     kinds = [
         Kind(
             "spring",
-            {
-                "on": "wrench",
-                "x_n": f"-stiffness * max(0, {away} - slack) * (x_m - at_x) / {away}",
-                "y_n": f"-stiffness * max(0, {away} - slack) * (y_m - at_y) / {away}",
-            },
-            {"stiffness": ("N/m", -2.0, 2.0, 0.02)},
-            {**where, "slack": ("m", 0.0, 2.0, PLACE_STEP_M)},
+            {"on": "wrench", **{f"{a}_n": f"-stiffness * {here} * ({a}_m - at_{a}) / {away}" for a in "xy"}},
+            stiff, {**where, "slack": ("m", 0.0, 2.0, PLACE_STEP_M)},
             [{**place, "slack": slack} for place in places for slack in (0.0, 0.1, 0.2, 0.35)],
         ),
         Kind(
@@ -158,12 +148,10 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             {
                 "on": "wrench",
                 **{
-                    f"{axis}_n": f"-pull * near ** 2 * ({axis}_m - at_{axis}) / hypot({away}, near) ** 3"
-                    for axis in "xy"
+                    f"{a}_n": f"-pull * near ** 2 * ({a}_m - at_{a}) / hypot({away}, near) ** 3" for a in "xy"
                 },
             },
-            {"pull": ("N", -0.5, 0.5, 2e-3)},
-            {**where, "near": ("m", 0.01, 1.0, 0.02)},
+            {"pull": ("N", -0.5, 0.5, 2e-3)}, {**where, "near": ("m", 0.01, 1.0, 0.02)},
             [{**place, "near": near} for place in places for near in (0.05, 0.12, 0.3)],
         ),
         Kind(
@@ -173,11 +161,9 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
                 "x_n": f"-stiffness * max(0, {beyond}) * cos(way)",
                 "y_n": f"-stiffness * max(0, {beyond}) * sin(way)",
             },
-            {"stiffness": ("N/m", -2.0, 2.0, 0.02)},
-            line,
-            lines,
+            stiff, line, lines,
         ),
-        both("push", "wrench", "n", "1", force, {}, [{}]),
+        both("push", "wrench", "n", "1", force),
         Kind(
             "push that grows with place",
             {"on": "wrench", **{f"{a}_n": f"{a}_here + {a}_by_x * x_m + {a}_by_y * y_m" for a in "xy"}},
@@ -185,12 +171,9 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
                 **{f"{a}_here": force for a in "xy"},
                 **{f"{a}_by_{b}": ("N/m", -0.2, 0.2, 2e-3) for a in "xy" for b in "xy"},
             },
-            {},
-            [{}],
         ),
         drags(
-            "patch", f"exp(-({away} / size) ** sharp)",
-            {**where, "size": ("m", 0.02, 1.0, 0.02), "sharp": ("1", 1.0, 20.0, 0.5)},
+            "patch", f"exp(-({away} / size) ** sharp)", {**size, "sharp": ("1", 1.0, 20.0, 0.5)},
             [
                 {**place, "size": size, "sharp": sharp}
                 for place in places for size in (0.06, 0.1, 0.16, 0.25, 0.4) for sharp in (2.0, 8.0)
@@ -198,7 +181,7 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         ),
         drags(
             "patch with an end", f"cos(1.5707963 * min(1, {away} / size)) ** sharp",
-            {**where, "size": ("m", 0.02, 1.0, 0.02), "sharp": ("1", 0.3, 8.0, 0.2)},
+            {**size, "sharp": ("1", 0.3, 8.0, 0.2)},
             [
                 {**place, "size": size, "sharp": sharp}
                 for place in places for size in (0.1, 0.16, 0.25, 0.4) for sharp in (0.5, 1.5)
@@ -227,62 +210,50 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             "compass",
             {"on": "wrench", "torque_nm": "east * sin(heading_rad) + north * cos(heading_rad)"},
             {"east": ("N m", -2e-3, 2e-3, 2e-5), "north": ("N m", -2e-3, 2e-3, 2e-5)},
-            {},
-            [{}],
         ),
         swinging("gusts", "wrench", "n", force),
         both("push from a moment on", "wrench", "n", later, force, when, whens),
-        both("push by time", "wrench", "n", "time_s", ("N/s", -2e-3, 2e-3, 2e-5), {}, [{}]),
+        both("push by time", "wrench", "n", "time_s", ("N/s", -2e-3, 2e-3, 2e-5)),
         drags("drag from a moment on", later, when, whens),
         Kind(
             "torque by speed",
             {"on": "wrench", "torque_nm": "by_forward * forward_mps + by_left * left_mps"},
             {f"by_{axis}": ("N s", -0.02, 0.02, 2e-4) for axis in ("forward", "left")},
-            {},
-            [{}],
         ),
         both("push at intervals", "wrench", "n", between, force, interval, intervals),
         swinging("sloshing", "flow", "mps", speed),
         Kind(
             "flow that grows with place",
-            {"on": "flow", **{f"{a}_mps": f"{a}_by_x * x_m + {a}_by_y * y_m" for a in ("x", "y")}},
-            {f"{a}_by_{b}": ("1/s", -0.2, 0.2, 0.01) for a in ("x", "y") for b in ("x", "y")},
-            {},
-            [{}],
+            {"on": "flow", **{f"{a}_mps": f"{a}_by_x * x_m + {a}_by_y * y_m" for a in "xy"}},
+            {f"{a}_by_{b}": ("1/s", -0.2, 0.2, 0.01) for a in "xy" for b in "xy"},
         ),
         both(
             "flow that dies down", "flow", "mps", "exp(-time_s / fade)", speed,
             {"fade": ("s", 1.0, 200.0, 1.0)}, [{"fade": fade} for fade in (4.0, 10.0, 25.0)],
         ),
-        both("flow by time", "flow", "mps", "time_s", ("m/s^2", -5e-3, 5e-3, 1e-4), {}, [{}]),
+        both("flow by time", "flow", "mps", "time_s", ("m/s^2", -5e-3, 5e-3, 1e-4)),
         both(
             "flow in a band", "flow", "mps", f"exp(-(({beyond}) / width) ** 2)", speed,
             {**line, "width": ("m", 0.02, 1.0, 0.02)},
             [{**each, "width": width} for each in lines for width in (0.06, 0.15)],
         ),
         both(
-            "flow near a place", "flow", "mps", f"exp(-({away} / size) ** 2)", speed,
-            {**where, "size": ("m", 0.02, 1.0, 0.02)},
+            "flow near a place", "flow", "mps", f"exp(-({away} / size) ** 2)", speed, size,
             [{**place, "size": size} for place in places for size in (0.08, 0.16, 0.3)],
         ),
         both("flow from a moment on", "flow", "mps", later, speed, when, whens),
         both("flow at intervals", "flow", "mps", between, speed, interval, intervals),
         both("fixes off from a moment on", "fix", "m", later, off, when, whens),
         both("fixes off at intervals", "fix", "m", between, off, interval, intervals),
+        Kind("fixes late from a moment on", {"on": "fix", "delay_s": f"late * {later}"}, late, when, whens),
         Kind(
-            "fixes late from a moment on", {"on": "fix", "delay_s": f"late * {later}"},
-            {"late": late}, when, whens,
-        ),
-        Kind(
-            "fixes late at intervals", {"on": "fix", "delay_s": f"late * {between}"},
-            {"late": late}, interval, intervals,
+            "fixes late at intervals", {"on": "fix", "delay_s": f"late * {between}"}, late, interval,
+            intervals,
         ),
         Kind(
             "fixes bent by place",
             {"on": "fix", **{f"{axis}_m": f"bend * {axis}_m * (x_m ** 2 + y_m ** 2)" for axis in "xy"}},
             {"bend": ("1/m^2", -1.0, 1.0, 0.02)},
-            {},
-            [{}],
         ),
     ]  # fmt: skip
     names = [limb.name for limb in robot.limbs]
@@ -331,13 +302,5 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     return kinds
 
 
-def _stroke(
-    limb: str,
-    title: str,
-    gain: str,
-    strengths: Numbers,
-    shapes: Numbers | None = None,
-    grid: Sequence[Mapping[str, float]] = ({},),
-) -> Kind:
-    table = {"on": "stroke", "limb": limb, "gain": gain}
-    return Kind(f"stroke {title}", table, strengths, shapes or {}, grid)
+def _stroke(limb: str, title: str, gain: str, strengths: Numbers, *shapes: Any) -> Kind:
+    return Kind(f"stroke {title}", {"on": "stroke", "limb": limb, "gain": gain}, strengths, *shapes)

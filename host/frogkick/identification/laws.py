@@ -245,12 +245,8 @@ class _Beside:
         for weight, basis, left in self._weighed:
             flat = (white * weight[None, :, None, None]).reshape(len(columns), -1, columns.shape[3])
             flat = flat - np.einsum("iq,kqp->kip", basis, np.einsum("iq,kip->kqp", basis, flat))
-            normal = np.einsum("kip,kiq->kpq", flat, flat)
-            size = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-            normal += (1e-9 * size + 1e-30) * np.eye(columns.shape[3])
-            slope = np.einsum("kip,i->kp", flat, left)
-            gains = np.einsum("kp,kp->k", slope, np.linalg.solve(normal, slope[:, :, None])[:, :, 0])
-            found = np.maximum(found, gains / max(float(left @ left), 1e-30))
+            normal, slope = np.einsum("kip,kiq->kpq", flat, flat), np.einsum("kip,i->kp", flat, left)
+            found = np.maximum(found, _fall(normal, slope) / max(float(left @ left), 1e-30))
         return found
 
     def quick_sums(self, on: Float64, bins: Float64) -> Float64:
@@ -267,10 +263,15 @@ class _Beside:
             for p in range(width):
                 for q in range(width):
                     whole[:, p, q] = ((on @ normal[:, p, :, q]) * on).sum(axis=1)
-            whole += (1e-9 * np.trace(whole, axis1=1, axis2=2)[:, None, None] + 1e-30) * np.eye(width)
-            gains = np.einsum("kp,kp->k", slope, np.linalg.solve(whole, slope[:, :, None])[:, :, 0])
-            found = np.maximum(found, gains / max(float(left @ left), 1e-30))
+            found = np.maximum(found, _fall(whole, slope) / max(float(left @ left), 1e-30))
         return found
+
+
+def _fall(normal: Float64, slope: Float64) -> Float64:
+    """(k,) falls of the sum of squares, by (k, p, p) normal matrices and (k, p) slopes."""
+    size = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    normal += (1e-9 * size + 1e-30) * np.eye(slope.shape[1])
+    return np.asarray(np.einsum("kp,kp->k", slope, np.linalg.solve(normal, slope[:, :, None])[:, :, 0]))
 
 
 def centred(fitted: Fitted, data: Data) -> Fitted:

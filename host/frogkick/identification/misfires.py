@@ -87,29 +87,19 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class Misfires:
-    """Limbs that misfire beside a model.
+    """Limbs that misfire beside a model."""
 
-    Attributes:
-        base: the fitted model without misfires.
-        limbs: names of the limbs.
-        indices: indices of the limbs.
-        chance: probability of a misfire of each limb, and the ends of its interval.
-        scale: scale matrix of the residuals at the ends of periods, by the mixture.
-        failed: for each limb, (run, time_s, probability that it did nothing) of each stroke.
-        stability: share of resamples in which each limb is accepted.
-        confounded_with: for each limb, the limbs that explain nearly as much in its place.
-        deviance: penalised deviance of the residuals by the mixture.
-    """
-
-    base: Fitted
-    limbs: tuple[str, ...]
-    indices: tuple[int, ...]
+    base: Fitted  # the fitted model without misfires
+    limbs: tuple[str, ...]  # names of the limbs
+    indices: tuple[int, ...]  # indices of the limbs
+    # probability of a misfire of each limb, and the ends of its interval
     chance: list[tuple[float, float, float]]
-    scale: Float64
+    scale: Float64  # scale matrix of the residuals at the ends of periods, by the mixture
+    # for each limb, (run, time_s, probability that it did nothing) of each stroke
     failed: list[list[tuple[str, float, float]]]
-    stability: list[float]
-    confounded_with: list[list[str]]
-    deviance: float
+    stability: list[float]  # share of resamples in which each limb is accepted
+    confounded_with: list[list[str]]  # for each limb, the limbs that explain nearly as much in its place
+    deviance: float  # penalised deviance of the residuals by the mixture
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -161,8 +151,6 @@ def misfires_of(base: Fitted, data: Data, changes: Float64 | None = None) -> Mis
     """Select limbs that misfire by forward selection; None if no limb explains more than chance.
 
     Args:
-        base: the fitted model to which misfires are added.
-        data: the runs.
         changes: (n, 9, l) change of the residuals if a limb does nothing; None: simulated here.
     """
     model, swims, replicates = base.model, data.swims, data.replicate_count

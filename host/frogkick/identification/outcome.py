@@ -87,7 +87,6 @@ class Outcome:
 
     Attributes:
         verdict: see frogkick.identification.verdict.
-        robot: nominal.
         train, test: the runs.
         found: result of the search; None if there was not enough data.
         parameters: intervals of the parameters of each term.
@@ -149,22 +148,21 @@ class Outcome:
 
     def effects_as_json(self) -> list[dict[str, Any]]:
         """What was found."""
-        effects = []
-        for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True)):
-            assert self.found is not None
-            effects.append(
-                {
-                    "name": term.name,
-                    **term.options,
-                    "parameters": {
-                        each.name: {"value": each.value, "interval": [each.low, each.high], "unit": each.unit}
-                        for each in row
-                    },
-                    "not_told_from": self.found.confounded_with[index],
-                    "stability": self.found.stability[index],
-                }
-            )
-        return effects
+        if self.found is None:
+            return []
+        return [
+            {
+                "name": term.name,
+                **term.options,
+                "parameters": {
+                    each.name: {"value": each.value, "interval": [each.low, each.high], "unit": each.unit}
+                    for each in row
+                },
+                "not_told_from": self.found.confounded_with[index],
+                "stability": self.found.stability[index],
+            }
+            for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True))
+        ]
 
     @cached_property
     def residuals(self) -> dict[str, Any] | None:
@@ -231,7 +229,6 @@ def identify(
 
     Args:
         train, test: runs to learn from, runs to predict.
-        robot: nominal.
         own: a file of the user's own effects.
         progress: called with a stage, steps done and to do, and what is being tried.
         measured: a fit may start from the values of calibrated built-in robots; without, only from their
@@ -411,7 +408,6 @@ def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Ter
     """The nominal robot's text with the effects found.
 
     Args:
-        outcome: of identification.
         folder: folder that paths of the user's effect files are relative to; None: the nominal robot's.
         terms: of those found, the ones to write; None: all.
     """

@@ -44,30 +44,20 @@ lanes."""
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """The prediction of one run by one model.
+    """The prediction of one run by one model."""
 
-    Attributes:
-        time_s: (n,) capture times of the fixes.
-        innovation: (n, 3) innovations of the fixes (m, m, rad).
-        variance: (n, 3) of the innovations.
-        difference: (n, 3) fix minus a trajectory that was never corrected: for the fit of the noise.
-        predicted: (m, 3) pose at each period's end as the camera would show it, NaN where none.
-        predicted_std: (m, 3) standard deviation of these, propagated from the state at the period's start.
-        start: (m, 6) pose (world) and velocity (body) at each period's start.
-        residuals: (m, 9) mean of fix minus prediction over the three phases of each period: forward, left (m)
-            and heading (rad) by the pose at its start; NaN if a phase has no fix.
-        failed: the simulation did not converge.
-    """
-
-    time_s: Float64
-    innovation: Float64
-    variance: Float64
-    difference: Float64
-    predicted: Float64
+    time_s: Float64  # (n,) capture times of the fixes
+    innovation: Float64  # (n, 3) innovations of the fixes (m, m, rad)
+    variance: Float64  # (n, 3) of the innovations
+    difference: Float64  # (n, 3) fix minus a trajectory that was never corrected: for the fit of the noise
+    predicted: Float64  # (m, 3) pose at each period's end as the camera would show it, NaN where none
+    # (m, 3) standard deviation of these, propagated from the state at the period's start
     predicted_std: Float64
-    start: Float64
+    start: Float64  # (m, 6) pose (world) and velocity (body) at each period's start
+    # (m, 9) mean of fix minus prediction over the three phases of each period: forward, left (m) and heading
+    # (rad) by the pose at its start; NaN if a phase has no fix
     residuals: Float64
-    failed: bool
+    failed: bool  # the simulation did not converge
 
     def end_errors(self, swim: Segments) -> Float64:
         """(m, 3) measured minus predicted pose at each period's end, by the pose at its start."""
@@ -126,7 +116,7 @@ class LaneState:
         periods = len(swim.start_s)
         self.filter = Filter(self.lane.noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
         self.camera_effects = [effect for effect in self.lane.effects if type(effect).fix is not Effect.fix]
-        self.corrected_s = [swim.begin_s]
+        self.corrected_s = swim.begin_s  # the latest
         self.next_fix = int(np.searchsorted(swim.time_s, swim.begin_s))
         self.next_stroke = self.next_segment = 0
         self.times, self.poses = np.empty(0), np.empty((0, 3))
@@ -266,7 +256,7 @@ class RolloutBatch:
         swim, at_s = lane_state.lane.swim, lane_state.segment_end_s
         ended = -1
         for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
-            if lane_state.corrected_s[-1] <= swim.start_s[period] + 1e-6 and len(lane_state.times):
+            if lane_state.corrected_s <= swim.start_s[period] + 1e-6 and len(lane_state.times):
                 lane_state.predicted[period] = self.camera_fix_at(lane_state, at_s)[1]
                 before = Filter(lane_state.lane.noise, swim.actuated_s, lane_state.filter.time_s)
                 before.covariance = lane_state.filter.covariance.copy()
@@ -295,7 +285,7 @@ class RolloutBatch:
         lane_state.poses = lane_state.poses + offset + (lane_state.times - at_s)[:, None] * rate
         kept = lane_state.times >= at_s - _HISTORY_S
         lane_state.times, lane_state.poses = lane_state.times[kept], lane_state.poses[kept]
-        lane_state.corrected_s.append(at_s)
+        lane_state.corrected_s = at_s
         return offset, rate
 
     def _begin(self, slot: int, lane_state: LaneState, motion: Float64) -> None:

@@ -113,33 +113,24 @@ class Responses:
     """Responses of the residuals, and the robot's state at the same times, estimated from its fixes.
 
     There are m periods, n of which are used, l limbs and f fixes.
-
-    Attributes:
-        wrench: (n, 9, 3, 3) derivative of each residual by the force forward, left (N) and the torque (N m)
-            in each third.
-        flow: (n, 9, 3, 2) derivative by the water's velocity in each third, world frame (m/s).
-        lost: (n, 9, LAGS, l, 4) change of each residual if a limb's gain is less by each of LOSSES, in the
-            period itself and in those before it.
-        source: (n, LAGS) indices of these periods among all m; -1 for none.
-        fix: two sparse (3 n, f) matrices: derivative of each phase's residual by the position of each fix,
-            and by its heading; world frame.
-        heading: (n,) heading at each period's start, rad.
-        bodies: variable of laws on wrenches and flows -> (n, 3) its values in each third.
-        strokes: variable of laws on strokes -> (m, l) its values; NaN if a limb did not fire.
-        fixes: variable of laws on fixes -> (f,) its values.
-        rates: (f, 3) velocity at each fix, world frame (m/s, m/s, rad/s).
     """
 
+    # (n, 9, 3, 3) derivative of each residual by the force forward, left (N) and the torque (N m) in each
+    # third
     wrench: Float64
-    flow: Float64
+    flow: Float64  # (n, 9, 3, 2) derivative by the water's velocity in each third, world frame (m/s)
+    # (n, 9, LAGS, l, 4) change of each residual if a limb's gain is less by each of LOSSES, in the period
+    # itself and in those before it
     lost: Float64
-    source: Int64
+    source: Int64  # (n, LAGS) indices of these periods among all m; -1 for none
+    # two sparse (3 n, f) matrices: derivative of each phase's residual by the position of each fix, and by
+    # its heading; world frame
     fix: tuple[Any, Any]
-    heading: Float64
-    bodies: Values
-    strokes: Values
-    fixes: Values
-    rates: Float64
+    heading: Float64  # (n,) heading at each period's start, rad
+    bodies: Values  # variable of laws on wrenches and flows -> (n, 3) its values in each third
+    strokes: Values  # variable of laws on strokes -> (m, l) its values; NaN if a limb did not fire
+    fixes: Values  # variable of laws on fixes -> (f,) its values
+    rates: Float64  # (f, 3) velocity at each fix, world frame (m/s, m/s, rad/s)
 
     @property
     def idle(self) -> Float64:
@@ -310,7 +301,7 @@ def _strokes(swims: Sequence[Segments], robot: Robot) -> Values:
         others = [f"since_{limb.name}_s" for limb in robot.limbs]
         for name in ("strokes", "since_s", *others):
             seen[name] = np.zeros((count, limbs))
-        for period, limb, time_s, history in _fired(swim, limbs):
+        for period, limb, time_s, history in _fired(swim):
             at = period, limb
             seen["time_s"][at], seen["strokes"][at] = time_s, history.pulses
             since = [min(history.since_s(k, time_s), LONG_AGO_S) for k in range(limbs)]
@@ -324,12 +315,12 @@ def _strokes(swims: Sequence[Segments], robot: Robot) -> Values:
 def fired_strokes(swim: Segments, limbs: int) -> Float64:
     """(m, l) time of each limb's first stroke in each period, s; NaN if it did not fire."""
     found = np.full((len(swim.start_s), limbs), np.nan)
-    for period, limb, time_s, _ in _fired(swim, limbs):
+    for period, limb, time_s, _ in _fired(swim):
         found[period, limb] = time_s
     return found
 
 
-def _fired(swim: Segments, limbs: int) -> Iterator[tuple[int, int, float, History]]:
+def _fired(swim: Segments) -> Iterator[tuple[int, int, float, History]]:
     """Yield each limb's first stroke in each period: period, limb, time, history of strokes."""
     for period, (start_s, end_s) in enumerate(zip(swim.start_s, swim.end_s, strict=True)):
         known: set[int] = set()

@@ -12,13 +12,11 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import PredictionError
@@ -243,21 +241,8 @@ def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], st
         action=swim.action[:first],
         end_s=swim.end_s[:first],
     )
-    kept = _Later(**{name: getattr(swim, name) for name in Segments.__dataclass_fields__}, judged_from=first)
+    kept = replace(swim, judged_from=first)
     return [learned], [kept], f"periods {first + 1} to {len(swim.start_s)} of the only run {swim.name!r}"
-
-
-@dataclass(frozen=True, eq=False)
-class _Later(Segments):
-    """A run of which only later periods are judged."""
-
-    judged_from: int = 0
-
-    @cached_property
-    def measured(self) -> Float64:
-        """(m, 3) as in Segments; NaN for the earlier periods."""
-        ends = [self.pose_at(float(end)) for end in self.end_s]
-        return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
 
 
 def is_better(before: PredictionError, after: PredictionError) -> bool:

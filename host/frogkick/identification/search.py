@@ -99,33 +99,23 @@ class CandidateScore:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        data: the runs that were searched.
-        nominal: the model without effects, its noise fitted.
-        fitted: with the effects chosen.
-        iterations: scores of the candidates in each iteration.
-        confounded_with: for each effect chosen, the titles of others that the data cannot tell from it.
-        sensitivities: of the candidates.
-        rivals: these others, fitted.
-        stability: of each effect; see ``backward.stability``.
-        misfires: limbs that do nothing by chance, whose laws are the last terms but those of jumps.
-        jumps: fixes that jump by chance, whose law is the last term; they were taken out of the runs.
-        responses: of the runs to forces, flows and strokes, if laws were searched for.
-    """
-
-    data: Data
-    nominal: Fitted
-    fitted: Fitted
+    data: Data  # the runs that were searched
+    nominal: Fitted  # the model without effects, its noise fitted
+    fitted: Fitted  # with the effects chosen
+    # scores of the candidates in each iteration
     iterations: list[list[CandidateScore]] = field(default_factory=list)
+    # for each effect chosen, the titles of others that the data cannot tell from it
     confounded_with: list[list[str]] = field(default_factory=list)
-    sensitivities: list[Column] = field(default_factory=list)
-    rivals: list[list[Term]] = field(default_factory=list)
-    stability: list[float] = field(default_factory=list)
+    sensitivities: list[Column] = field(default_factory=list)  # of the candidates
+    rivals: list[list[Term]] = field(default_factory=list)  # these others, fitted
+    stability: list[float] = field(default_factory=list)  # of each effect; see ``backward.stability``
+    # limbs that do nothing by chance, whose laws are the last terms but those of jumps
     misfires: Misfires | None = None
+    # fixes that jump by chance, whose law is the last term; they were taken out of the runs
     jumps: Jumps | None = None
-    responses: Responses | None = None
+    responses: Responses | None = None  # of the runs to forces, flows and strokes, if laws were searched for
 
 
 def nominal_fit(swims: Sequence[Segments], robot: Robot) -> tuple[Data, Fitted]:
@@ -158,7 +148,6 @@ def search(
 
     Args:
         data, nominal: see ``nominal_fit``.
-        candidates: the catalogue.
         progress: called with each stage, steps done and to do.
         most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
         columns: sensitivities of the candidates, where they are known.

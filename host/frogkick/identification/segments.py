@@ -47,40 +47,26 @@ _SPOILED = _ABSENT | int(FixFlag.MISDETECTION | FixFlag.JUMP)
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """The segments of one run, one for each period, with the run's fixes and strokes.
+    """The segments of one run, one for each period, with the run's fixes and strokes."""
 
-    Attributes:
-        name: name of the run's file.
-        robot_id: id of its robot.
-        action_names: names of the actions that ``action`` indexes.
-        time_s: (n,) capture times of the usable fixes.
-        arrival_s: (n,) arrival time of each fix.
-        pose: (n, 3) x, y (m), heading (rad, not wrapped), world frame.
-        strokes: (time_s, limb index) of each stroke, in order, on the fixes' clock.
-        start_s: (m,) start of each period on the fixes' clock.
-        action: (m,) action of each period; -1: unknown.
-        end_s: (m,) end of each period.
-        period_s: period of the run.
-        lag_s: delay from a command's time in the log to its motion on the fixes' clock, already added.
-        problem: why the times of its strokes are unreliable; "" if they are reliable.
-        rest_rate: (m/s, m/s, rad/s) root mean square velocity of the robot at rest, from frames before the
-            first stroke that came in order but without known times; None without enough of these.
-    """
-
-    name: str
-    robot_id: str
-    action_names: tuple[str, ...]
-    time_s: Float64
-    arrival_s: Float64
-    pose: Float64
+    name: str  # name of the run's file
+    robot_id: str  # id of its robot
+    action_names: tuple[str, ...]  # names of the actions that ``action`` indexes
+    time_s: Float64  # (n,) capture times of the usable fixes
+    arrival_s: Float64  # (n,) arrival time of each fix
+    pose: Float64  # (n, 3) x, y (m), heading (rad, not wrapped), world frame
+    # (time_s, limb index) of each stroke, in order, on the fixes' clock
     strokes: tuple[tuple[float, int], ...]
-    start_s: Float64
-    action: Int64
-    end_s: Float64
-    period_s: float
-    lag_s: float
-    problem: str = ""
+    start_s: Float64  # (m,) start of each period on the fixes' clock
+    action: Int64  # (m,) action of each period; -1: unknown
+    end_s: Float64  # (m,) end of each period
+    period_s: float  # period of the run
+    lag_s: float  # delay from a command's time in the log to its motion on the fixes' clock, already added
+    problem: str = ""  # why the times of its strokes are unreliable; "" if they are reliable
+    # (m/s, m/s, rad/s) root mean square velocity of the robot at rest, from frames before the first stroke
+    # that came in order but without known times; None without enough of these
     rest_rate: tuple[float, float, float] | None = None
+    judged_from: int = 0  # only this period and later ones are judged
 
     @cached_property
     def begin_s(self) -> float:
@@ -128,8 +114,9 @@ class Segments:
 
     @cached_property
     def measured(self) -> Float64:
-        """(m, 3) pose at each period's end, from the fixes around it; NaN if there are too few."""
-        return np.array([self.pose_at(float(end)) for end in self.end_s]).reshape(-1, 3)
+        """(m, 3) pose at the ends of the judged periods, from the fixes around; NaN if there are too few."""
+        ends = [self.pose_at(float(end)) for end in self.end_s]
+        return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
 
     @cached_property
     def end_noise(self) -> Float64:
@@ -161,15 +148,10 @@ class Segments:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """The runs that models are fitted to.
+    """The runs that models are fitted to."""
 
-    Attributes:
-        swims: the runs.
-        rows: (m,) which of all their periods count; n of them do.
-    """
-
-    swims: Sequence[Segments]
-    rows: Bool
+    swims: Sequence[Segments]  # the runs
+    rows: Bool  # (m,) which of all their periods count; n of them do
 
     def used(self, parts: Iterable[ArrayLike]) -> AnyArray:
         """(n, ...) values of the periods that count, from the (m_k, ...) values of each run's periods."""

@@ -170,7 +170,6 @@ def held_out_density(residuals: Float64, test: Bool) -> Float64:
     """(k,) log density of the k periods held out, by the scale of the others.
 
     Args:
-        residuals: (n, d) by a model that was fitted without them.
         test: (n,) which are held out.
     """
     scale = _shrunk(scale_of(residuals[~test]), int((~test).sum()))

@@ -118,7 +118,6 @@ def noise_floor(swims: Sequence[Segments], fix: tuple[float, float]) -> Predicti
     does not count; see ``repeatability``.
 
     Args:
-        swims: the runs.
         fix: standard deviation of a fix (m, rad); see ``fix_noise``.
     """
     noise = Noise(fix, (0.0, 0.0), (0.0, 0.0))
@@ -265,7 +264,6 @@ def intervals(fitted: Fitted, data: Data, bias: Float64 | None = None) -> list[l
 
     Args:
         fitted: a model at its best, with derivatives by all its parameters.
-        data: the runs that it was fitted to.
         bias: (p,) bias besides chance, see ``discretisation_shift``; None: none.
     """
     from scipy import stats
@@ -359,7 +357,6 @@ def scored(
 
     Args:
         found: by the search; noise of fixes and spread of predictions are estimated from its training runs.
-        swims: the runs to judge.
         before, after: their rollouts without and with effects.
         raw: the training runs and those to judge as they are, which ``before`` is held against, where fixes
             that jumped were taken out; None if none were.

@@ -61,33 +61,22 @@ factor give the same motion."""
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A fraction that the constants were not matched to.
-
-    Attributes:
-        egain_percent: the fraction.
-        factors: constant -> its match to the other fractions over the robot's own value.
-        matched_mps, left_out_mps: RMSE of the speeds on the other fractions, and on this one.
-    """
+    """A fraction that the constants were not matched to."""
 
     egain_percent: float
-    factors: Mapping[str, float]
-    matched_mps: float
-    left_out_mps: float
+    factors: Mapping[str, float]  # constant -> its match to the other fractions over the robot's own value
+    matched_mps: float  # RMSE of the speeds on the other fractions
+    left_out_mps: float  # and on this one
 
 
 @dataclass(frozen=True)
 class Matched:
-    """Each fraction left out once.
+    """Each fraction left out once."""
 
-    Attributes:
-        parts: the results for each fraction.
-        rmse_mps: group of simulations -> RMSE of its speeds, each from the fit without its fraction.
-        within_cycle_rms_m: group -> RMS of the forward position within a cycle, likewise.
-    """
-
-    parts: tuple[LeftOut, ...]
+    parts: tuple[LeftOut, ...]  # the results for each fraction
+    # group of simulations -> RMSE of its speeds, each from the fit without its fraction
     rmse_mps: Mapping[str, float]
-    within_cycle_rms_m: Mapping[str, float]
+    within_cycle_rms_m: Mapping[str, float]  # group -> RMS of the forward position within a cycle, likewise
 
 
 def matched_without(

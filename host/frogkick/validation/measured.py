@@ -40,15 +40,10 @@ _FREQUENCY_SWEEP_PHASE = 0.5
 
 @dataclass(frozen=True)
 class Case:
-    """One swim of the data.
+    """One swim of the data."""
 
-    Attributes:
-        name: its file, relative to the data's folder.
-        group: ``simulations`` or ``experiments``, then ``freq/<EGaIn>`` or ``phase/<EGaIn>_<F>Hz``.
-    """
-
-    name: str
-    group: str
+    name: str  # its file, relative to the data's folder
+    group: str  # ``simulations`` or ``experiments``, then ``freq/<EGaIn>`` or ``phase/<EGaIn>_<F>Hz``
     gait: Gait
     file: Path
 
@@ -63,30 +58,21 @@ class Skipped:
 
 @dataclass(frozen=True)
 class SteadySpeed:
-    """The speed of a measured swim.
+    """The speed of a measured swim."""
 
-    Attributes:
-        speed_mps: slope of the straight line fitted to distance over time, as the authors tabulate it.
-        sd_mps: standard deviation of the mean of the speeds over its whole cycles; None below two cycles.
-        cycles: whole cycles that it lasts.
-    """
-
-    speed_mps: float
+    speed_mps: float  # slope of the straight line fitted to distance over time, as the authors tabulate it
+    # standard deviation of the mean of the speeds over its whole cycles; None below two cycles
     sd_mps: float | None
-    cycles: int
+    cycles: int  # whole cycles that it lasts
 
 
 @dataclass(frozen=True)
 class Profiles:
-    """Limb profiles for the simulation.
+    """Limb profiles for the simulation."""
 
-    Attributes:
-        profiles: fits to the data's files if there are any, otherwise the robot's own coefficients.
-        measured: (EGaIn fraction, frequency) of those from files.
-    """
-
+    # fits to the data's files if there are any, otherwise the robot's own coefficients
     profiles: tuple[Profile, ...]
-    measured: frozenset[tuple[float, float]]
+    measured: frozenset[tuple[float, float]]  # (EGaIn fraction, frequency) of those from files
 
     def source(self, gait: Gait) -> str:
         """Return the origin of a gait's profile: a file, cached coefficients, or interpolation."""

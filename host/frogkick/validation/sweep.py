@@ -45,20 +45,13 @@ class Design:
 
 @dataclass(frozen=True)
 class Plan:
-    """The gaits of a sweep.
-
-    Attributes:
-        designs: EGaIn fractions and frequencies.
-        phases: phases of each design, ascending.
-        interpolated: designs whose limb profile lies between measured ones.
-        skipped: requested designs outside the measured ones.
-    """
+    """The gaits of a sweep."""
 
     robot: Robot
     designs: tuple[Design, ...]
-    phases: tuple[float, ...]
-    interpolated: frozenset[Design]
-    skipped: tuple[Skipped, ...]
+    phases: tuple[float, ...]  # of each design, ascending
+    interpolated: frozenset[Design]  # whose limb profile lies between measured ones
+    skipped: tuple[Skipped, ...]  # requested designs outside the measured ones
 
     @property
     def gaits(self) -> int:
@@ -121,7 +114,11 @@ def plan_sweep(
         for hz in sorted(set(frequencies_hz)) if frequencies_hz is not None else own_hz or known_hz:
             design = Design(fraction, hz)
             try:
-                _check(design)
+                if not (math.isfinite(fraction) and 0.0 < hz < math.inf):
+                    raise InputError(
+                        f"{fraction:g} % EGaIn at {hz:g} Hz is no gait: give a finite fraction and a "
+                        "positive frequency"
+                    )
                 actuation(robot.profiles, fraction, hz)
             except InputError as error:
                 skipped.append(Skipped(design.name, str(error)))
@@ -135,14 +132,6 @@ def plan_sweep(
         )
     steps = tuple(round(k / phases, 12) for k in range(phases))
     return Plan(robot, tuple(designs), steps, frozenset(interpolated), tuple(skipped))
-
-
-def _check(design: Design) -> None:
-    if not (math.isfinite(design.egain_percent) and 0.0 < design.frequency_hz < math.inf):
-        raise InputError(
-            f"{design.egain_percent:g} % EGaIn at {design.frequency_hz:g} Hz is no gait: give a finite "
-            "fraction and a positive frequency"
-        )
 
 
 def run_sweep(
@@ -307,20 +296,13 @@ PAPER_PHASE = 0.5
 
 @dataclass(frozen=True)
 class PaperWinner:
-    """A design that the paper names as one of its two best, simulated at phase 0.5.
-
-    Attributes:
-        authors_mps: speed over cycles 5 to 8 of the authors' published run.
-        speed_mps, cost_of_transport: the paper's figure, one of the two.
-        authors_mean_mps: mean speed over all PAPER_CYCLES cycles of that run from rest; only for the two
-            fastest.
-    """
+    """A design that the paper names as one of its two best, simulated at phase 0.5."""
 
     design: Design
-    authors_mps: float
-    speed_mps: float | None = None
+    authors_mps: float  # over cycles 5 to 8 of the authors' published run
+    speed_mps: float | None = None  # the paper's figure: this or the next
     cost_of_transport: float | None = None
-    authors_mean_mps: float | None = None
+    authors_mean_mps: float | None = None  # over all PAPER_CYCLES cycles from rest; for the two fastest
 
 
 # Huang 2022; the last decimals from the runs published with it.
@@ -336,25 +318,16 @@ PAPER_WINNERS = (
 
 @dataclass(frozen=True)
 class Verdict:
-    """A winner of the paper in this sweep.
-
-    Attributes:
-        ours: the same gait here.
-        rank: rank of its design at the paper's phase, from 1.
-        rank_all_phases: rank of its design if each design has its listed phase.
-        best: its design at its fastest phase.
-        mean_speed_mps: mean speed of the same gait over PAPER_CYCLES cycles from rest, like the paper's
-            figure.
-        ahead: the designs before it at the paper's phase.
-    """
+    """A winner of the paper in this sweep."""
 
     winner: PaperWinner
-    ours: Point
-    rank: int
-    rank_all_phases: int
-    best: Point
+    ours: Point  # the same gait here
+    rank: int  # rank of its design at the paper's phase, from 1
+    rank_all_phases: int  # rank of its design if each design has its listed phase
+    best: Point  # its design at its fastest phase
+    # mean speed of the same gait over PAPER_CYCLES cycles from rest, like the paper's figure
     mean_speed_mps: float
-    ahead: tuple[Point, ...]
+    ahead: tuple[Point, ...]  # the designs before it at the paper's phase
 
     @property
     def agrees(self) -> bool:
@@ -364,7 +337,25 @@ class Verdict:
     @property
     def why(self) -> str:
         """The difference from the paper's figure and its reason, in measured values."""
-        return _explain(self)
+        winner, ours = self.winner, self.ours
+        if winner.speed_mps is not None and winner.authors_mean_mps is not None:
+            return (
+                f"The paper's {1e3 * winner.speed_mps:.0f} mm/s agrees with the mean of the authors' "
+                f"published run over all its {PAPER_CYCLES} cycles from rest "
+                f"({1e3 * winner.authors_mean_mps:.1f}); the same mean here is "
+                f"{1e3 * self.mean_speed_mps:.1f}. Over cycles {FIRST_CYCLE} to {CYCLES}, as the ranking "
+                f"counts, that run swims {1e3 * winner.authors_mps:.1f} and this model "
+                f"{1e3 * ours.speed_mps:.1f} mm/s."
+            )
+        hz, cost = ours.gait.frequency_hz, ours.cost_of_transport
+        same = cost * ours.speed_mps / winner.authors_mps
+        rounded = cost * ours.speed_mps / round(winner.authors_mps, 3)
+        return (
+            f"The pulse energy is matched to the paper. With it the authors' published run, "
+            f"{1e3 * winner.authors_mps:.1f} mm/s at {hz:g} Hz, costs {same:.0f}, and with that speed "
+            f"rounded to a whole mm/s {rounded:.0f}; this model swims {1e3 * ours.speed_mps:.1f} mm/s and "
+            f"costs {cost:.0f}."
+        )
 
 
 def paper_verdicts(sweep: Sweep) -> list[Verdict]:
@@ -395,23 +386,3 @@ def _place(ranked: Sequence[Point], design: Design) -> int | None:
         if (point.gait.egain_percent, point.gait.frequency_hz) == (design.egain_percent, design.frequency_hz):
             return index
     return None
-
-
-def _explain(verdict: Verdict) -> str:
-    winner, ours = verdict.winner, verdict.ours
-    if winner.speed_mps is not None and winner.authors_mean_mps is not None:
-        return (
-            f"The paper's {1e3 * winner.speed_mps:.0f} mm/s agrees with the mean of the authors' published "
-            f"run over all its {PAPER_CYCLES} cycles from rest ({1e3 * winner.authors_mean_mps:.1f}); the "
-            f"same mean here is {1e3 * verdict.mean_speed_mps:.1f}. Over cycles {FIRST_CYCLE} to {CYCLES}, "
-            f"as the ranking counts, that run swims {1e3 * winner.authors_mps:.1f} and this model "
-            f"{1e3 * ours.speed_mps:.1f} mm/s."
-        )
-    hz, cost = ours.gait.frequency_hz, ours.cost_of_transport
-    same = cost * ours.speed_mps / winner.authors_mps
-    rounded = cost * ours.speed_mps / round(winner.authors_mps, 3)
-    return (
-        f"The pulse energy is matched to the paper. With it the authors' published run, "
-        f"{1e3 * winner.authors_mps:.1f} mm/s at {hz:g} Hz, costs {same:.0f}, and with that speed rounded to "
-        f"a whole mm/s {rounded:.0f}; this model swims {1e3 * ours.speed_mps:.1f} mm/s and costs {cost:.0f}."
-    )

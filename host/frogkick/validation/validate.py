@@ -39,24 +39,16 @@ _END_SLACK_S = 0.0015  # the authors' files end one of their 1 ms steps around t
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """One of the authors' simulations and the model's.
-
-    Attributes:
-        reference_mps, model_mps: speeds over cycles 5 to 8.
-        within_cycle_rms_m: RMS difference of the forward positions within cycles 5 to 8, each without its
-            mean speed, and without the mean difference.
-        profile: origin of the limb's profile.
-        time_s: (n,) times over cycles 5 to 8.
-        reference_wave_m, model_wave_m: (n,) the compared positions.
-    """
+    """One of the authors' simulations and the model's, over cycles 5 to 8."""
 
     case: Case
     reference_mps: float
     model_mps: float
+    # RMS difference of the forward positions, each without its mean speed, and without the mean difference
     within_cycle_rms_m: float
-    profile: str
-    time_s: Float64
-    reference_wave_m: Float64
+    profile: str  # origin of the limb's profile
+    time_s: Float64  # (n,)
+    reference_wave_m: Float64  # (n,) the compared positions
     model_wave_m: Float64
 
     @property
@@ -67,21 +59,14 @@ class SimulationResult:
 
 @dataclass(frozen=True)
 class ExperimentResult:
-    """A measured swim, the authors' simulation of it if the data has one, and the model's.
-
-    Attributes:
-        reference: speed of the swim's own file, or of the table if there is no file.
-        tabulated_mps: the authors' tabulated speed of this gait; if there are several, the nearest.
-        model_mps, authors_mps: speeds of both simulations.
-        profile: origin of the limb's profile.
-    """
+    """A measured swim, the authors' simulation of it if the data has one, and the model's."""
 
     case: Case
-    reference: SteadySpeed
-    tabulated_mps: float | None
+    reference: SteadySpeed  # of the swim's own file, or of the table if there is no file
+    tabulated_mps: float | None  # the authors' speed of this gait; if there are several, the nearest
     model_mps: float
     authors_mps: float | None
-    profile: str
+    profile: str  # origin of the limb's profile
 
     @property
     def error_mps(self) -> float:
@@ -126,7 +111,6 @@ def validate(
 
     Args:
         folder: laid out as ``frogkick.validation.measured`` says.
-        workers: processes.
 
     Raises:
         InputError: no such folder, or nothing in it.
@@ -135,18 +119,18 @@ def validate(
     profiles, unusable = read_profiles(folder / "profile", robot.profiles)
     skipped += unusable
     references: list[_Reference] = []
-    tabulated = read_speeds(folder / "exp" / "speeds.csv")
+    table = folder / "exp" / "speeds.csv"
+    tabulated = read_speeds(table)
     for case in cases:
         try:
             references.append(_read(case, tabulated))
         except InputError as error:
             skipped.append(Skipped(case.name, str(error)))
-    references += _only_tabulated(tabulated, references, folder)
+    references += _only_tabulated(tabulated, references, table)
     swum, failed = swum_of(
         robot, profiles, {reference.case.gait for reference in references}, workers, progress
     )
-    simulations: list[SimulationResult] = []
-    experiments: list[ExperimentResult] = []
+    simulations, experiments = list[SimulationResult](), list[ExperimentResult]()
     authors = {
         r.case.gait: speed_over_cycles(*r.track, r.case.gait.frequency_hz) for r in references if r.track
     }
@@ -185,15 +169,14 @@ def _read(case: Case, tabulated: Sequence[tuple[Gait, float]]) -> _Reference:
 
 
 def _only_tabulated(
-    tabulated: Sequence[tuple[Gait, float]], references: Sequence[_Reference], folder: Path
+    tabulated: Sequence[tuple[Gait, float]], references: Sequence[_Reference], file: Path
 ) -> list[_Reference]:
     """Return the tabulated speeds of gaits without a file."""
     filed = {reference.case.gait for reference in references if reference.steady is not None}
     rows: list[_Reference] = []
     for number, (gait, speed_mps) in enumerate(tabulated, start=2):
         if gait not in filed:
-            name = f"exp/speeds.csv line {number}"
-            case = Case(name, f"{EXPERIMENTS}/tabulated", gait, folder / "exp" / "speeds.csv")
+            case = Case(f"exp/speeds.csv line {number}", f"{EXPERIMENTS}/tabulated", gait, file)
             rows.append(_Reference(case, steady=SteadySpeed(speed_mps, None, 0), tabulated_mps=speed_mps))
     return rows
 
@@ -221,13 +204,13 @@ def swum_of(
     return swum, failed
 
 
-def _wave(time_s: Float64, forward_m: Float64, speed_mps: float) -> Float64:
-    wave = forward_m - speed_mps * time_s
+def _wave(at_s: Float64, time_s: Float64, forward_m: Float64, speed_mps: float) -> Float64:
+    wave = np.interp(at_s, time_s, forward_m) - speed_mps * at_s
     return np.asarray(wave - wave.mean())
 
 
-def _model_wave(time_s: Float64, swum: GaitSwim) -> Float64:
-    return _wave(time_s, np.interp(time_s, swum.time_s, swum.forward_m), swum.speed_mps)
+def _model_wave(at_s: Float64, swum: GaitSwim) -> Float64:
+    return _wave(at_s, swum.time_s, swum.forward_m, swum.speed_mps)
 
 
 def wave_rms_m(result: SimulationResult, swum: GaitSwim) -> float:
@@ -240,10 +223,10 @@ def _against_simulation(
     case: Case, track: tuple[Float64, Float64], swum: GaitSwim, profiles: Profiles
 ) -> SimulationResult:
     frequency_hz = case.gait.frequency_hz
-    cycles = CYCLES - FIRST_CYCLE
-    time_s = np.linspace(FIRST_CYCLE, CYCLES, _SAMPLES_PER_CYCLE * cycles + 1) / frequency_hz
+    samples = _SAMPLES_PER_CYCLE * (CYCLES - FIRST_CYCLE) + 1
+    time_s = np.linspace(FIRST_CYCLE, CYCLES, samples) / frequency_hz
     reference_mps = speed_over_cycles(*track, frequency_hz)
-    reference_wave = _wave(time_s, np.interp(time_s, *track), reference_mps)
+    reference_wave = _wave(time_s, *track, reference_mps)
     model_wave = _model_wave(time_s, swum)
     rms = float(np.sqrt(np.mean((model_wave - reference_wave) ** 2)))
     source = profiles.source(case.gait)

@@ -18,7 +18,7 @@ from tests.cli.commands import frogkick
 from tests.conftest import count, from_ci
 
 from frogkick.core.progress import progress_bar
-from frogkick.link.wire import Wire
+from frogkick.link.wire import Delivery, Wire
 
 RECORD_S = str(count(5, 5, 0))
 
@@ -162,9 +162,19 @@ def test_wherever_the_interpreter_is(tmp_path: Path, text: str) -> None:
     assert done.stderr == "frogkick: interrupted\n"
 
 
+class Inbox(Wire):
+    """The receiving side of a wire."""
+
+    def send(self, encoded: bytes, how: Delivery) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+
 def test_an_inbox_is_open_after_a_ctrl_c_at_any_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the answer to the DISARM that follows would never be heard."""
-    inbox, ended, fed = Wire(), threading.Event(), threading.Semaphore(0)
+    inbox, ended, fed = Inbox(), threading.Event(), threading.Semaphore(0)
 
     def feed() -> None:
         while not ended.wait(1e-4):

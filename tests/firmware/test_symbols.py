@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from bench_build import build_text
+from elftools.elf.elffile import ELFFile
 from tests.planner import synthetic
 
 from frogkick.core.errors import FrogkickError
@@ -116,3 +117,17 @@ def test_a_stripped_image_has_no_bound(tmp_path: Path) -> None:
     )
     with pytest.raises(FrogkickError, match="unstripped"):
         StackAnalysis(elf).bound()
+
+
+def test_a_symbol_of_a_kind_without_a_name_is_read(tmp_path: Path) -> None:
+    elf = build_text(PROGRAM.format(kind="float", helper="", body=""), tmp_path, drivers=True)
+    whole = load_image(elf)
+    with elf.open("rb") as file:
+        table = ELFFile(file).get_section_by_name(".symtab")
+        place = [symbol.name for symbol in table.iter_symbols()].index("fk_stack_top")
+        kind_at = table["sh_offset"] + place * table["sh_entsize"] + 12  # st_info
+    content = bytearray(elf.read_bytes())
+    content[kind_at] = content[kind_at] & 0xF0 | 11  # between STT_LOOS and STT_HIOS
+    write_bytes(elf, bytes(content))
+    odd = load_image(elf)
+    assert odd.symbols == whole.symbols and odd.functions == whole.functions

@@ -8,6 +8,7 @@ from __future__ import annotations
 import enum
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -66,7 +67,7 @@ class Delivery(enum.Enum):
     """Without acknowledgement and before other frames; dropped for a newer one."""
 
 
-class Wire:
+class Wire(ABC):
     """Bytes to and from a robot. A thread of the wire reads and reconnects; ``receive`` takes what came."""
 
     name: str  # as the user gave it
@@ -80,13 +81,13 @@ class Wire:
         self.connections = 0  # so far
         self.is_up = False  # whether it is connected now
 
+    @abstractmethod
     def send(self, encoded: bytes, how: Delivery) -> None:
         """Send a frame with its delimiter; the frame is lost while the wire is down."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Disconnect."""
-        raise NotImplementedError
 
     def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
         """Wait for bytes, and return them with their arrival times (monotonic)."""

@@ -300,18 +300,18 @@ class _Segment:
         if record.name == "COMMAND":
             return self.core.command(record)
         if record.name == "FAULT":
-            return self.core.call(("note_pulse_failed", int(record.values["detail"])))
+            return self.core.call(("fk_robot_note_pulse_failed", int(record.values["detail"])))
         if record.name == "PULSE" and record.values["allowed"] == TOO_LATE:
-            return self.core.call(("note_pulse_failed", LATE))
-        now = ("note_time", record.time_us)
+            return self.core.call(("fk_robot_note_pulse_failed", LATE))
+        now = ("fk_robot_note_time", record.time_us)
         if record.name == "STATE" and record.values["event"] == supervisor().number("LINK_LOST"):
-            return self.core.call(now, ("note_link_lost",))
+            return self.core.call(now, ("fk_robot_note_link_lost",))
         if record.name == "STATE" and record.values["event"] == supervisor().number("SUPPLY_LOW"):
-            return self.core.call(now, ("note_supply", 1))
+            return self.core.call(now, ("fk_robot_note_supply", 1))  # 1: low
         made = self.core.call(now)
         for _ in range(_TICKS):
             if not made:
-                made = self.core.call(("tick", record.time_us, self.core.outputs))
+                made = self.core.call(("fk_robot_tick", record.time_us, self.core.outputs))
         return made
 
     def _report(self, record: Record | None, place: str, what: str) -> None:
@@ -370,9 +370,9 @@ class ChipCore:
         return self._written()
 
     def call(self, *calls: tuple[Any, ...]) -> list[Record]:
-        """Call functions of the core, each by its name after ``fk_robot_`` and its arguments."""
+        """Call functions of the core on the robot, each by its name and its further arguments."""
         for name, *given in calls:
-            getattr(self._core, f"fk_robot_{name}")(self._memory, *given)
+            getattr(self._core, name)(self._memory, *given)
         return self._written()
 
     def _written(self) -> list[Record]:

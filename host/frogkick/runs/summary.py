@@ -23,12 +23,9 @@ from frogkick.runs.runlog import RunLog, Tracking
 
 @dataclass(frozen=True)
 class Summary:
-    """A run in numbers; None: the log does not show it.
+    """A run in numbers; None: the log does not show it."""
 
-    Attributes:
-        robot, source, path, period_s: as in ``RunLog``; the path's name
-    """
-
+    # robot, source, path, period_s: as in ``RunLog``; the path's name
     robot: str
     source: str
     path: str | None

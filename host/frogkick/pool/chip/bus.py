@@ -90,9 +90,9 @@ class Peripheral:
     """
 
     REGISTERS: ClassVar[list[Register]]
-    INTERRUPT_EVENTS: ClassVar[dict[int, str]] = {}
-    RESET_VALUES: ClassVar[dict[str, int]] = {}
-    PAIR_BITS: ClassVar[int]
+    INTERRUPT_EVENTS: ClassVar[dict[int, str]] = {}  # bit of INTEN -> the event that it lets through
+    RESET_VALUES: ClassVar[dict[str, int]] = {}  # of registers that do not begin with 0
+    PAIR_BITS: ClassVar[int]  # that every other pair has
 
     name: str  # instance, as in the SVD ("TIMER0")
     base: int  # address of its first register

@@ -98,7 +98,7 @@ def load_image(path: Path | str, flash_before: bytes | None = None) -> FirmwareI
                 flash[begin : begin + len(data)] = data
             table: Any = elf.get_section_by_name(".symtab")
             for symbol in table.iter_symbols() if table is not None else ():
-                kind = symbol["st_info"]["type"].removeprefix("STT_")
+                kind = str(symbol["st_info"]["type"]).removeprefix("STT_")  # a number where ELF has no name
                 symbols.append(Symbol(symbol.name, symbol["st_value"], symbol["st_size"], kind))
     except (ELFError, UnicodeDecodeError) as error:
         raise InputError(

@@ -208,8 +208,7 @@ def _worst_group(time_s: Float64, pose: Float64, width: int) -> tuple[float, int
     """(distance in units of noise, first row) of the worst group of ``width`` rows; distance 0: none.
 
     Groups are ranked by distance, not by excess over the limit: a good frame beside a wrong group is off by
-        half
-    the distance, but its limit is narrower.
+    half the distance, but its limit is narrower.
     """
     count = len(time_s) - width - 1
     if count < 1:

@@ -257,7 +257,7 @@ def test_a_user_s_parameters_are_those_that_the_class_names(tmp_path: Path) -> N
     assert wearier.value("gain") == 0.1
     with pytest.raises(InputError, match="'Comma' cannot be made with"):
         make_effect({"file": "own.py", "class": "Comma"}, tmp_path)
-    with pytest.raises(InputError, match="'Comma': parameters are .*: give a tuple of Parameter"):
+    with pytest.raises(InputError, match=r"'Comma': parameters are .*: give a tuple of Parameter"):
         catalogue(ROBOT, tmp_path / "own.py")
 
 

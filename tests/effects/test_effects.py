@@ -23,6 +23,7 @@ from frogkick.effects import (
     make_effect,
     read_world,
 )
+from frogkick.identification.terms import catalogue
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
@@ -223,6 +224,41 @@ def test_a_user_s_own_file_works_where_a_name_does(tmp_path: Path) -> None:
     assert 0.0 < weak.pose_world()[0] < 0.8 * strong.pose_world()[0]
     assert weak.pose_world()[2] > 0.01
     assert swim([whirl]).pose_world()[2] > 0.02
+
+
+OWN = """
+from frogkick.effects import Effect, LimbWear, Parameter, parameter
+
+TURNS = Parameter("turns", "1/s", 0.0, 0.5, 0.1)
+
+class Listed(Effect):
+    TURNS = TURNS
+    parameters = (TURNS,)
+    def flow(self, time_s, position_world_m):
+        return self.turns, 0.0
+
+class Wearier(LimbWear):
+    gain = parameter("1", 0.0, 1.0, 1.0)
+    lost = parameter("1", 0.0, 1.0, 0.0)
+
+class Comma(Effect):
+    parameters = (TURNS)
+    def flow(self, time_s, position_world_m):
+        return self.turns, 0.0
+"""
+
+
+def test_a_user_s_parameters_are_those_that_the_class_names(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    listed = make_effect({"file": "own.py", "class": "Listed", "turns": 0.2}, tmp_path)
+    assert [p.name for p in listed.parameters] == ["turns"]
+    wearier = make_effect({"file": "own.py", "class": "Wearier", "gain": 0.1}, tmp_path)
+    assert [p.name for p in wearier.parameters] == ["gain", "delay_s", "duration_scale", "lost"]
+    assert wearier.value("gain") == 0.1
+    with pytest.raises(InputError, match="'Comma' cannot be made with"):
+        make_effect({"file": "own.py", "class": "Comma"}, tmp_path)
+    with pytest.raises(InputError, match=r"'Comma': parameters are .*: give a tuple of Parameter"):
+        catalogue(ROBOT, tmp_path / "own.py")
 
 
 @pytest.mark.parametrize(

@@ -137,6 +137,7 @@ def test_a_wrong_formula_is_one_line(text: str, words: str) -> None:
         ("N m", (1.0, 2.0, -2.0)),
         ("kg/m^3", (1.0, -3.0, 0.0)),
         ("rad", ONE),
+        ("N\u00a0s/m", (1.0, 0.0, -1.0)),  # a space that does not break, from a web page
     ],
 )
 def test_units_are_read(text: str, unit: tuple[float, float, float]) -> None:

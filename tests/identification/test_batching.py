@@ -15,7 +15,7 @@ from made import make_swim, robot
 from tests.conftest import from_ci, some
 
 from frogkick.core.errors import InputError
-from frogkick.effects import make_effects
+from frogkick.effects import Effect, History, Stroke, make_effects
 from frogkick.identification import batching, predict
 from frogkick.identification.batching import all_of, cpu_s, run_concurrently
 from frogkick.identification.filter import Noise
@@ -90,6 +90,21 @@ def test_who_swims_beside_a_lane_makes_no_difference(
         assert np.isfinite(alone.predicted).any()
         assert np.array_equal(together.predicted, alone.predicted, equal_nan=True)
         assert np.array_equal(together.difference, alone.difference)
+
+
+class Flickering(Effect):
+    """An effect of a user who draws random numbers and has no ``likeliest``."""
+
+    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+        stroke.gain *= 0.6 + 0.4 * float(rng.random())
+        return stroke
+
+
+def test_each_lane_draws_its_own_random_numbers(swim: Segments) -> None:
+    lane = Lane(swim, robot(), (Flickering(),), NOISE, LEG_S)
+    (alone,) = predict.roll_out([lane])
+    for together in predict.roll_out([lane] * 2):
+        assert np.array_equal(together.predicted, alone.predicted, equal_nan=True)
 
 
 LAW = {

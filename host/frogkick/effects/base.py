@@ -131,7 +131,8 @@ class Effect:
 
     Attributes:
         name: name in TOML files.
-        parameters: its parameters; those declared by ``parameter`` are appended.
+        parameters: its parameters; those declared by ``parameter`` are appended, or replace inherited ones of
+            the same name.
         options: further keys in TOML files with their defaults (None: the key is required).
         about: the physics, in one line.
         shown_by: data that could show it, in one line.
@@ -149,9 +150,13 @@ class Effect:
     joint_only: ClassVar[bool] = False
     uniform = asks_body = stiff = False
 
-    def __init_subclass__(cls) -> None:
-        declared = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter)}
-        cls.parameters += tuple(replace(value, name=name) for name, value in declared.items())
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        # A Parameter that has a name already is one that the class lists in ``parameters`` itself.
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter)}
+        declared = {name: replace(value, name=name) for name, value in own.items() if not value.name}
+        if declared:
+            cls.parameters = tuple(({each.name: each for each in cls.parameters} | declared).values())
 
     def __init__(self, **values: Any) -> None:
         """Set parameters and options as attributes.

@@ -64,7 +64,7 @@ def unit_of(text: str) -> Unit:
         exponent = float(power or 1.0) * (-1.0 if sign else 1.0)
         for k, share in enumerate(_BASE[name]):
             found[k] += exponent * share
-    if not text.strip() or _FACTOR.sub("", text).strip(" \t\n\r\f\v*"):
+    if not text.strip() or _FACTOR.sub("", text).replace("*", "").strip():
         raise InputError(
             f"unit {text!r} cannot be read: write it as in 'N s/m' or 'm^2/s', '1' for a pure number"
         )

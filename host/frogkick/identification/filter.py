@@ -44,7 +44,8 @@ class Noise:
 
     def per_axis(self) -> tuple[Float64, Float64, Float64]:
         """(3,) squares of each, for x, y and heading."""
-        fix, idle, actuated = np.square(np.array([self.fix, self.idle, self.actuated]))[:, [0, 0, 1]]
+        # Each is contiguous: numba compiles again for strided arrays.
+        fix, idle, actuated = (np.square(pair)[[0, 0, 1]] for pair in (self.fix, self.idle, self.actuated))
         return fix, idle, actuated
 
 

@@ -150,9 +150,10 @@ class RolloutBatch:
     def __init__(self, lanes: Sequence[Lane], robot: Robot) -> None:
         self.lanes = lanes
         self.robot = robot
-        rngs = [np.random.default_rng(0)]
+        # Each lane has its own generator: the result shall not depend on the other lanes.
         self.lane_states = [
-            LaneState(lane, ActingLanes(lane.effects, robot, rngs, lane.leg_s)) for lane in lanes
+            LaneState(lane, ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s))
+            for lane in lanes
         ]
         self.waiting = sorted(range(len(lanes)), key=lambda index: len(lanes[index].swim.segment_times_s))
         self.slots = [self.waiting.pop() for _ in range(min(WIDTH, len(lanes)))]

@@ -109,7 +109,7 @@ class Found:
     # for each effect chosen, the titles of others that the data cannot tell from it
     confounded_with: list[list[str]] = field(default_factory=list)
     sensitivities: list[Column] = field(default_factory=list)  # of the candidates
-    rivals: list[list[Term]] = field(default_factory=list)  # these others, fitted
+    rivals: list[list[Term]] = field(default_factory=list)  # those of ``confounded_with``, fitted
     stability: list[float] = field(default_factory=list)  # of each effect; see ``backward.stability``
     # limbs that do nothing by chance, whose laws are the last terms but those of jumps
     misfires: Misfires | None = None

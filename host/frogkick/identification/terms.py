@@ -88,8 +88,10 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
 
 
 def _term(table: Mapping[str, Any], folder: Path, kind: type) -> Term:
-    parameters = tuple(getattr(kind, "parameters", ()))
-    return Term(tuple(table.items()), folder, parameters, tuple(p.nominal for p in parameters))
+    given = getattr(kind, "parameters", ())
+    if not isinstance(given, tuple | list) or not all(isinstance(each, Parameter) for each in given):
+        raise InputError(f"effect {kind.__name__!r}: parameters are {given!r}: give a tuple of Parameter")
+    return Term(tuple(table.items()), folder, tuple(given), tuple(p.nominal for p in given))
 
 
 def law_term(

@@ -181,6 +181,7 @@ def test_foreign_and_changed_libraries_are_refused(built: Path, tmp_path: Path) 
         ("period_s", 1.0, r"1\.0 s"),
         ("robot_sha256", "00" * 32, "does not match"),
         ("robot_toml", "id = 1", "does not match"),
+        ("robot_toml", "id = \udcff", "does not match"),  # a byte that is not UTF-8
     ):
         copy = edited(built, tmp_path)
         with h5py.File(copy, "r+") as file:

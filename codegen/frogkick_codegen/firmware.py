@@ -365,13 +365,19 @@ def image_sizes(elf: Path) -> tuple[int, int, int]:
     """Flash, RAM and reserved stack of a built bench image (ELF), bytes.
 
     Raises:
-        InputError: more than the chip has.
+        InputError: more than the chip has, or no ELF of this firmware.
     """
+    from elftools.common.exceptions import ELFError
     from elftools.elf.elffile import ELFFile
 
     flash = ram = 0
     with elf.open("rb") as file:
-        content = ELFFile(file)
+        try:
+            content = ELFFile(file)
+        except ELFError as error:
+            raise InputError(
+                f"{elf.name!r} is not a firmware image of ours ({error}): build it again"
+            ) from error
         for segment in content.iter_segments("PT_LOAD"):
             flash += segment["p_filesz"]
             if segment["p_vaddr"] >= 0x20000000:

@@ -181,10 +181,12 @@ def test_foreign_and_changed_libraries_are_refused(built: Path, tmp_path: Path) 
         ("period_s", 1.0, r"1\.0 s"),
         ("robot_sha256", "00" * 32, "does not match"),
         ("robot_toml", "id = 1", "does not match"),
+        ("robot_toml", b"id = \xff", "does not match"),  # not UTF-8
     ):
         copy = edited(built, tmp_path)
         with h5py.File(copy, "r+") as file:
-            file.attrs[attribute] = value
+            kind = h5py.string_dtype() if isinstance(value, bytes) else None
+            file.attrs.create(attribute, value, dtype=kind)
         with pytest.raises(InputError, match=says):
             read_library(copy)
     copy = edited(built, tmp_path)

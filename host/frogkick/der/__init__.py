@@ -1,4 +1,8 @@
-"""Planar discrete elastic rods in water: mesh, forces, solver, integrator, swimmers."""
+"""Planar discrete elastic rods in water: mesh, forces, solver, integrator, swimmers.
+
+Functions raise InputError for values that are not finite or out of range, and for a limb profile outside the
+measured ones; a simulation that fails raises ConvergenceError, or gives a Failure where others go on.
+"""
 
 from frogkick.der.batch import WIDTH, Batch, Checkpoint, Failure
 from frogkick.der.mesh import Rods, prepare

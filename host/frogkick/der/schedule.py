@@ -52,7 +52,7 @@ class StepProfile:
     """Step-size profile: the longest steps during a stroke."""
 
     coarseness: Float64  # (n,) longest step over the finest, at each ``every_s`` since the stroke's start
-    every_s: float  # spacing of the coarseness
+    every_s: float  # spacing of the coarseness: ``Actuation.step_s``
     over_s: float  # time at which the limb is back at rest
     peak_s: float  # time at which it is straightest
 
@@ -87,7 +87,7 @@ class Profiles(NamedTuple):
     duration_s: Float64
     activation: Float64
     active: Int64
-    step_s: Float64
+    step_s: Float64  # spacing of activation and of coarseness
     drop_per_m: Float64
 
     def of(self, lanes: Sequence[int]) -> Profiles:

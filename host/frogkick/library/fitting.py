@@ -127,7 +127,7 @@ class Fitted:
     Attributes:
         image: table image.
         kind: "nearest" or "affine".
-        held_out: its error on held-out states of the library, as of ``table_error``.
+        held_out: its error on held-out states of the library, as of ``error_on``.
         score: root mean square of these errors in units of the position measurement's noise.
     """
 
@@ -331,7 +331,7 @@ def _fill(packed: Callable[[int], bytes], budget: int, states_max: int, row_byte
 
 
 STATES = 300
-"""Number of states of its library: what an affine table of 64 KiB holds, and a few more."""
+"""Number of states of the default table's library: what an affine table of 64 KiB holds, and a few more."""
 SEED = 0
 SAMPLING = "planned"
 """The planner leads to these states: there a table from random swims errs six times as much."""
@@ -346,7 +346,10 @@ def default_table(
     seed: int = SEED,
     sampling: str = SAMPLING,
 ) -> bytes:
-    """Simulate a library and fit the default table to it.
+    """Simulate a library and fit the default table to it: what a robot carries where no other is asked for.
+
+    The demo, commands without ``--tables`` and ``fk.load_table()`` use it. Its kind and size are those of
+    ``fit_table`` without arguments: an affine table of ``BUDGET_BYTES``, which fits a slot of every robot.
 
     Args:
         robot: the robot.

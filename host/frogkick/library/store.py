@@ -91,7 +91,11 @@ class Library:
         )
 
     def save(self, file: Path | str) -> None:
-        """Write HDF5, completely or not at all. Only ``frogkick library build`` writes recorded motions."""
+        """Write HDF5, completely or not at all. Only ``frogkick library build`` writes recorded motions.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
         write_library(self, file)
 
     def has_history(self) -> bool:
@@ -338,7 +342,7 @@ def _require(good: object, path: Path | str, text: str) -> None:
 
 
 def _check_content(library: Library, path: Path | str) -> None:
-    hashed = hashlib.sha256(library.robot_toml.encode("utf-8")).digest()
+    hashed = hashlib.sha256(library.robot_toml.encode("utf-8", "surrogateescape")).digest()
     _require(hashed == library.robot_sha256, path, "the robot's text does not match its hash")
     robot, wear, before = library.robot(), library.limb_wear, library.previous_actions
     n, a = len(library.initial_velocity_body), len(robot.actions)
@@ -366,8 +370,8 @@ def _check_content(library: Library, path: Path | str) -> None:
         unknown = ~np.isfinite(values)
         if values.ndim == 3:
             unknown &= ~lost[:, :, None]
-        for place in np.argwhere(unknown).tolist():
-            _require(False, path, f"{name}{place} is not finite")
+        bad = np.argwhere(unknown).tolist()
+        _require(not bad, path, f"{name}{bad[0] if bad else ''} is not finite")
     if robot.id != library.robot_id or robot.period_s != library.period_s:
         raise InputError(
             f"library {str(path)!r} says robot {library.robot_id!r}, {library.period_s} s, its robot's text "

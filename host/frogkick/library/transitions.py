@@ -42,7 +42,7 @@ class Task:
 
 
 def rigid_task(velocity_body: Float64) -> Task:
-    """The task of (k, 3) robots at a velocity, limbs at rest."""
+    """The task of k robots at (k, 3) velocities, limbs at rest."""
     count = len(velocity_body)
     return Task(velocity_body, np.empty((count, 0), dtype=np.int64), np.ones((count, 1), dtype=bool))
 

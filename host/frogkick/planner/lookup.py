@@ -53,7 +53,7 @@ DYNAMICS = 3 + LIMBS_MAX
 def arrays_of(tables: Tables) -> TableArrays:
     """The arrays of an opened table."""
     states = tables.states.astype(np.int64)
-    same = TableArrays._fields[: TableArrays._fields.index("least")]
+    same = TableArrays._fields[: TableArrays._fields.index("least")]  # those up to it are called so in Tables
     return TableArrays(
         **{name: getattr(tables, name) for name in same},
         least=states.min(axis=0) - tables.offset_limit,

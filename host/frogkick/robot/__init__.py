@@ -1,4 +1,7 @@
-"""What a robot is: TOML to frozen dataclasses, actions, actuation profiles."""
+"""What a robot is: TOML to frozen dataclasses, actions, actuation profiles.
+
+Functions raise InputError, in one line, for a file, a key, a geometry or a profile that cannot be used.
+"""
 
 from frogkick.robot.geometry import Mirror, mirror_of, robot_warnings
 from frogkick.robot.load import built_in_robots, load_robot, parse_robot

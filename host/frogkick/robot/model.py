@@ -152,7 +152,7 @@ class Guard:
 
 @dataclass(frozen=True)
 class Battery:
-    """The batteries of the limbs: keys of ``BatteryTable``. Simulations do not use them."""
+    """The batteries of the limbs: keys of ``frogkick.robot.schema.BatteryTable``. Simulations use none."""
 
     count: int
     nominal_v: float
@@ -165,7 +165,7 @@ class Battery:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerDefaults(Weights):
-    """Cost and weights of the planner, its depth and its time: keys of ``PlannerTable``."""
+    """Cost, weights, depth and time of the planner: keys of ``frogkick.robot.schema.PlannerTable``."""
 
     cost: str
     depth: int

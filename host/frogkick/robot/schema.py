@@ -200,7 +200,7 @@ def table_in(field: FieldInfo) -> type[BaseModel] | None:
 def _descriptions() -> Iterator[tuple[str, str]]:
     for name, field in RobotFile.model_fields.items():
         if (table := table_in(field)) is not None:
-            yield from ((f"{name}.{key}", str(at.description)) for key, at in table.model_fields.items())
+            yield from ((f"{name}.{inner}", str(at.description)) for inner, at in table.model_fields.items())
         elif name != "effect":
             yield name, str(field.description)
 

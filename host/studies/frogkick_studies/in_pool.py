@@ -1,4 +1,7 @@
-"""Planners in the simulated pool, over paths, seeds and worlds, for the studies ``loop`` and ``twin``."""
+"""Planners in the simulated pool, over paths, seeds and worlds, for the studies ``loop`` and ``twin``.
+
+``Lines`` keeps results in a file, so that an interrupted study resumes; ``verdicts`` uses it as well.
+"""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ Draw = Callable[[Random], Table]
 LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
-def effect(kind: str | None = None, file: str = "", **values: Any) -> Draw:
+def effect(kind: str, file: str = "", **values: Any) -> Draw:
     """A built-in effect, or with ``file`` a class of that file, whose values are drawn in order."""
     head = {"file": file, "class": kind} if file else {"name": kind}
 

@@ -13,15 +13,21 @@ from frogkick.core.arrays import Float32, Float64
 
 @dataclass
 class Fix:
-    """A position fix of a camera or a tracker. Effects may change it before it arrives."""
+    """A position fix of a camera or a tracker. Effects may change it before it arrives.
 
-    capture_s: float  # time at which the picture was taken, on the receiver's clock
-    delay_s: float  # from then to its arrival at the robot
-    # x_m, y_m, heading_rad: the robot's pose, world frame
+    Attributes:
+        capture_s: time at which the picture was taken, on the receiver's clock.
+        delay_s: from then to its arrival at the robot.
+        x_m, y_m, heading_rad: the robot's pose, world frame.
+        sequence: number of the fix, wraps at 65,536.
+    """
+
+    capture_s: float
+    delay_s: float
     x_m: float
     y_m: float
     heading_rad: float
-    sequence: int = field(default=0, kw_only=True)  # number of the fix, wraps at 65,536
+    sequence: int = field(default=0, kw_only=True)
 
     @property
     def arrival_s(self) -> float:

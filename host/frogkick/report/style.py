@@ -9,9 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path
 
@@ -19,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+
+    from frogkick.core.arrays import Float64
 
 # Okabe and Ito's palette, which colour-blind readers can distinguish.
 DESIRED = "#7f7f7f"
@@ -100,6 +99,8 @@ def look(**options: Any) -> dict[str, Any]:
 
 def round_factor(wanted: float) -> float:
     """Return the largest of 1, 2 and 5 times powers of ten that is not above the wanted factor."""
+    import numpy as np
+
     factor = 10.0 ** np.floor(np.log10(wanted))
     return float(factor * (5.0 if wanted > 5.0 * factor else 2.0 if wanted > 2.0 * factor else 1.0))
 

@@ -126,7 +126,11 @@ class Identification:
         return figure_of_law(self.outcome, law) if laws_of(self.outcome) else error_figure(self.outcome)
 
     def predictions(self, file: Path | str) -> None:
-        """Write a CSV with one row for each period of each test run: measured, predicted, nominal."""
+        """Write a CSV with one row for each period of each test run: measured, predicted, nominal.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
         write_predictions(Path(file), self.outcome)
 
     def as_json(self) -> dict[str, Any]:

@@ -91,7 +91,11 @@ class Library:
         )
 
     def save(self, file: Path | str) -> None:
-        """Write HDF5, completely or not at all. Only ``frogkick library build`` writes recorded motions."""
+        """Write HDF5, completely or not at all. Only ``frogkick library build`` writes recorded motions.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
         write_library(self, file)
 
     def has_history(self) -> bool:

@@ -59,14 +59,24 @@ def _checked(name: str, length_m: float, points: int) -> tuple[float, Float64]:
 
 
 def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """A straight line of this length from the origin along +x."""
+    """A straight line from the origin along +x.
+
+    Args:
+        length_m: its length, m, above 0.
+        points: number of points, 2 to 100.
+    """
     length, s = _checked("line", length_m, points)
     x = length * s
     return Path.from_arrays(x, np.zeros_like(x), np.zeros_like(x), "line")
 
 
 def sine(length_m: float = SINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """The paper's sine of length l: x = 0.85 l s, y = l/10 sin(10 s), s from 0 to 1."""
+    """The paper's sine: x = 0.85 l s, y = l/10 sin(10 s), s from 0 to 1.
+
+    Args:
+        length_m: l, m, above 0 (the extent along x is 0.85 l).
+        points: number of points, 2 to 100.
+    """
     length, s = _checked("sine", length_m, points)
     extent, amplitude = SINE_EXTENT_PER_LENGTH * length, SINE_AMPLITUDE_PER_LENGTH * length
     y = amplitude * np.sin(SINE_ANGLE_RAD * s)

@@ -29,7 +29,7 @@ from frogkick.tables import layout
 from frogkick_codegen import frames
 
 HOST = Path(__file__).parents[1]
-IN_DETAIL = {"effects": ("Effect", "Parameter", "read_world")}
+IN_DETAIL = {"effects": ("Effect", "parameter", "Parameter", "read_world")}
 """What the Python reference has of a module that is a name of the front door; else all of it."""
 GAP = re.compile(r"^\{\{ (\w+) \}\}$", re.MULTILINE)
 

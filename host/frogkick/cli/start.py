@@ -205,7 +205,6 @@ def draw_frames(
     """Draw the frames and units that files, options and logs use: pool, robot, tag and heights."""
     require_writable(out)
     from frogkick.report.frames_figure import UNITS, frames_figure
-    from frogkick.report.style import write_picture
 
     write_picture(frames_figure(), out, dpi=90)
     show({"out": str(out), "units": {what: unit for what, unit, _ in UNITS}}, json)

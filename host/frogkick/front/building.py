@@ -54,6 +54,7 @@ def build_firmware(
 
     Raises:
         InputError: an unknown target, invalid limits of the guard, or an image that does not fit.
+        ToolchainError: no compiler here; the text says what to install.
     """
     table = load_table(table)
     place = Path(tempfile.mkdtemp(prefix="frogkick-firmware-")) if out is None else Path(out)

@@ -82,7 +82,11 @@ class Validated:
         return all(requirement.held for requirement in requirements(self.validation))
 
     def report(self, file: Path | str) -> None:
-        """Write an HTML page: errors by group, speeds, waves within a cycle, every case."""
+        """Write an HTML page: errors by group, speeds, waves within a cycle, every case.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
         from frogkick.report.validate_page import write_validation_report
 
         write_validation_report(Path(file), self.validation, self.noise)
@@ -235,7 +239,11 @@ class Swept:
         return energy_model(self.sweep.plan.robot)
 
     def save(self, folder: Path | str) -> list[Path]:
-        """Write ``sweep.csv``, a page and its pictures into a folder, and return the files."""
+        """Write ``sweep.csv``, a page and its pictures into a folder, and return the files.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
         from frogkick.report.sweep_page import write_sweep_report
 
         out = Path(folder)

@@ -126,7 +126,11 @@ class Identification:
         return figure_of_law(self.outcome, law) if laws_of(self.outcome) else error_figure(self.outcome)
 
     def predictions(self, file: Path | str) -> None:
-        """Write a CSV with one row for each period of each test run: measured, predicted, nominal."""
+        """Write a CSV with one row for each period of each test run: measured, predicted, nominal.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
         write_predictions(Path(file), self.outcome)
 
     def as_json(self) -> dict[str, Any]:
@@ -196,11 +200,11 @@ def identify(
     if not test:
         raise InputError("test is empty: give at least one run that is not a training run")
     runs, test = list(runs), list(test)
-    objects, tested = (
-        [one if isinstance(one, Run) else Path(one).resolve() for one in some] for some in (runs, test)
+    trained, tested = (
+        [Path(one).resolve() if isinstance(one, str | Path) else one for one in some] for some in (runs, test)
     )
     for each in tested:
-        if each in objects:
+        if isinstance(each, Given) and each in trained:
             name = each.source if isinstance(each, Run) else each.name
             raise InputError(
                 f"run {name!r} is a training run and a test run: its test would show how well it "

@@ -161,7 +161,8 @@ class Run(RunLog):
     def play(self, speed: float = 1.0) -> None:
         """Play the run in the browser until its end, the page's button or Ctrl-C; it starts with the page.
 
-        ``speed`` is above 0; 2: twice real time.
+        Args:
+            speed: above 0; 2: twice real time.
         """
         played(self, speed)
 

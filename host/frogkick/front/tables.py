@@ -90,7 +90,7 @@ class Table:
             return libraries.error_on(self.tables, unseen)
 
     def save(self, file: Path | str) -> None:
-        """Write the image (.fkt)."""
+        """Write the image (.fkt). A file that cannot be written is an ``InputError``."""
         write_bytes(file, self.image)
 
     @contextmanager
@@ -221,6 +221,10 @@ def load_table(file: Table | Path | str | None = None, robot: Robot | str | None
             cache (about a minute, with a bar on stderr). A table in memory is returned as it is.
         robot: the robot, its name or its TOML file; None: the robot that the image names, built-in or ID.toml
             beside the file.
+
+    Raises:
+        InputError: an unknown file or robot, or a table for another robot or another version of it.
+        TableError: the file is not a valid table image.
     """
     if isinstance(file, Table):
         return file
@@ -299,7 +303,11 @@ def _reports_finished_parts(out: Path) -> Iterator[None]:
 
 
 def load_library(file: Path | str) -> Library:
-    """Read a library (HDF5) that ``Library.save`` or ``frogkick library build`` wrote."""
+    """Read a library (HDF5) that ``Library.save`` or ``frogkick library build`` wrote.
+
+    Raises:
+        InputError: the file is missing, incomplete, or not a library.
+    """
     return libraries.read_library(file)
 
 

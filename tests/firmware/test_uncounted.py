@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from bench_build import build
 
-from frogkick.pool.chip import ChipError, VirtualChip, emulator
+from frogkick.pool.chip import ChipError, VirtualChip, uncounted
 from frogkick.pool.chip.bus import RAM_BASE
-from frogkick.pool.chip.emulator import UncountedCalls
+from frogkick.pool.chip.uncounted import UncountedCalls
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_what_fails_is_told(chip: VirtualChip, monkeypatch: pytest.MonkeyPatch) 
         alone.call("broken")
     with pytest.raises(ChipError, match="no symbol 'nothing'"):
         alone.call("nothing")
-    monkeypatch.setattr(emulator, "_LONGEST", 1000)
+    monkeypatch.setattr(uncounted, "_LONGEST", 1000)
     with pytest.raises(ChipError, match="slow has not returned after 1000 instructions"):
         alone.call("slow", 1_000_000)
     assert alone.call("slow", 3) == 7

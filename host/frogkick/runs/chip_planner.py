@@ -11,8 +11,8 @@ import numpy as np
 from frogkick.core.arrays import AnyArray, Float32, Int32, Int64, UInt16
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
 from frogkick.pool.chip import ChipError, CostModel, VirtualChip
-from frogkick.pool.chip.emulator import UncountedCalls
 from frogkick.pool.chip.image import Layouts
+from frogkick.pool.chip.uncounted import UncountedCalls
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import ACTIONS_MAX, LIMBS_MAX
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import ClassVar, Final, Protocol
 
 from frogkick.core.errors import FrogkickError
-
-if TYPE_CHECKING:
-    from frogkick.pool.chip.chip import VirtualChip
 
 CYCLES_PER_US: Final = 64
 CYCLES_PER_S: Final = CYCLES_PER_US * 1_000_000
@@ -79,6 +76,35 @@ def array(access: str, name: str, offset: int, count: int, stride: int = 4) -> l
     return registers(access, **{name.format(i): offset + stride * i for i in range(count)})
 
 
+class System(Protocol):
+    """The chip as its peripherals use it."""
+
+    scheduler: Scheduler
+    core: CoreRegisters
+
+    @property
+    def now_cycle(self) -> int:
+        """Current time in cycles of 64 MHz."""
+
+    def publish(self, event_address: int) -> None:
+        """Pass an event to PPI."""
+
+    def trigger(self, task_address: int) -> None:
+        """Trigger a task by its register's address."""
+
+    def has_register(self, address: int, prefix: str) -> bool:
+        """Whether a modelled register whose name begins so is at this address."""
+
+    def ram_read(self, address: int, count: int) -> bytes:
+        """Read RAM by EasyDMA."""
+
+    def ram_write(self, address: int, data: bytes) -> None:
+        """Write RAM by EasyDMA."""
+
+    def fail(self, what: str) -> ChipError:
+        """An error with program counter and time."""
+
+
 _PAIR: Final = ("SET", "CLR")
 
 
@@ -97,7 +123,7 @@ class Peripheral:
     name: str  # instance, as in the SVD ("TIMER0")
     base: int  # address of its first register
 
-    def __init__(self, system: VirtualChip) -> None:
+    def __init__(self, system: System) -> None:
         """Place it in a chip, in its reset state."""
         self.system = system
         self.irq = self.base >> 12 & 0x1F
@@ -175,7 +201,7 @@ class Peripheral:
         """Set an event's register, and trigger PPI and the interrupt line."""
         self.values[name] = 1
         self._update_line()
-        self.system.ppi.pass_on(self.base + self._offsets[name])
+        self.system.publish(self.base + self._offsets[name])
 
     def _update_line(self) -> None:
         enabled = self.values.get("INTEN", 0)
@@ -196,7 +222,7 @@ class CoreRegisters(Peripheral):
     name, base = "SCS", 0xE000_E000
     REGISTERS = registers("rw", NVIC_ICPR0=0x280, NVIC_ICPR1=0x284, SCB_SCR=0xD10, SCB_CPACR=0xD88)
 
-    def __init__(self, system: VirtualChip, on_fpu: Callable[[bool], None]) -> None:
+    def __init__(self, system: System, on_fpu: Callable[[bool], None]) -> None:
         """``on_fpu`` hears when the FPU is switched."""
         super().__init__(system)
         self._on_fpu = on_fpu

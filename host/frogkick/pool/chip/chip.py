@@ -96,6 +96,7 @@ class VirtualChip:
         self._gpio = Gpio(self)
         self._gpio.edges = edges
         self.ppi = Ppi(self)
+        self.publish = self.ppi.pass_on
         self.core = CoreRegisters(self, self._switch_fpu)
         self._watchdog = Watchdog(self, partial(setattr, self, "_reset_due", True))
         gpiote = Gpiote(self, self._gpio, self.power.on_clear_task)

@@ -8,18 +8,14 @@ from __future__ import annotations
 import ctypes
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from unicorn import arm_const
 from unicorn.unicorn_py3.unicorn import uclib
 
-from frogkick.core.interrupts import ctrl_c_comes_after
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, ChipError
-from frogkick.pool.chip.hook import HookState, Stop, load_hook, unicorn
+from frogkick.pool.chip.hook import HookState, load_hook, unicorn
 from frogkick.pool.chip.image import FirmwareImage
-
-if TYPE_CHECKING:
-    from frogkick.pool.chip.chip import VirtualChip
 
 PAGE: Final = 0x1000
 RETURN_ADDRESS: Final = FLASH_BYTES - 16
@@ -28,7 +24,7 @@ _ACCESS: Final = unicorn.UC_HOOK_MEM_READ | unicorn.UC_HOOK_MEM_WRITE
 _UNINITIALISED: Final = b"\xcd"  # RAM after power-on: what .data and .bss do not set is not zero
 
 
-def _bare_core(flash: bytes, ram: bytes) -> Any:
+def bare_core(flash: bytes, ram: bytes) -> Any:
     """A core with the chip's memory and no registers."""
     uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
     uc.ctl_set_cpu_model(arm_const.UC_CPU_ARM_CORTEX_M4)
@@ -54,7 +50,7 @@ def make_core(
         on_invalid: hears of accesses to where nothing is.
         state: what the callbacks of hook.c work on; gets unicorn's functions.
     """
-    uc = _bare_core(image.flash, _UNINITIALISED * RAM_BYTES)
+    uc = bare_core(image.flash, _UNINITIALISED * RAM_BYTES)
 
     def read(_uc: Any, offset: int, size: int, base: int) -> int:
         return access(base, offset, size)
@@ -66,11 +62,11 @@ def make_core(
         uc.mmio_map(base, PAGE, read, base, write, base)
     uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, on_invalid)
     uc.reg_write(arm_const.UC_ARM_REG_SP, image.stack_pointer)
-    _add_hooks(uc, state, {unicorn.UC_HOOK_CODE: "fk_hook_code", _ACCESS: "fk_hook_memory"})
+    add_hooks(uc, state, {unicorn.UC_HOOK_CODE: "fk_hook_code", _ACCESS: "fk_hook_memory"})
     return uc
 
 
-def _add_hooks(uc: Any, state: HookState, functions: Mapping[int, str]) -> None:
+def add_hooks(uc: Any, state: HookState, functions: Mapping[int, str]) -> None:
     """Let a core call functions of hook.c, by unicorn's kinds of hooks; the state must live as long."""
     state.emu_stop = ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p)
     state.reg_read = ctypes.cast(uclib.uc_reg_read, ctypes.c_void_p)
@@ -118,50 +114,3 @@ def invalid_access(access: int, address: int, size: int) -> str:
         return f"hard fault: execution at 0x{address:08x}, where there is no flash"
     verb = "write" if access == unicorn.UC_MEM_WRITE_UNMAPPED else "read"
     return f"bus fault: {verb} of {size} bytes at 0x{address:08x}, where the model has nothing"
-
-
-_LONGEST: Final = 2_000_000_000
-"""Instructions of a call that does not end."""
-
-
-class UncountedCalls:
-    """Calls functions of a booted firmware, in a copy of its memory, with an empty stack.
-
-    The instructions are the same, but nothing is counted or watched, which takes nine tenths of a virtual
-    chip's time: for functions of which only the bits matter, and that touch nothing but flash and RAM.
-    """
-
-    def __init__(self, chip: VirtualChip) -> None:
-        """Copy a chip that is booted and asleep; it is left alone from here on."""
-        self._symbol = chip.symbol
-        self._stack_top = chip.symbol("fk_stack_top")
-        self._uc = _bare_core(chip.flash.content(), chip.ram_read(RAM_BASE, RAM_BYTES))
-        # unicorn's own limit of instructions is a call for each of them, half of the time that all takes.
-        self._state = HookState()
-        _add_hooks(self._uc, self._state, {unicorn.UC_HOOK_BLOCK: "fk_hook_block"})
-
-    def ram_write(self, address: int, data: bytes) -> None:
-        """Write to the copy's RAM."""
-        self._uc.mem_write(address, data)
-
-    def ram_read(self, address: int, count: int) -> bytes:
-        """Read the copy's RAM."""
-        return bytes(self._uc.mem_read(address, count))
-
-    @ctrl_c_comes_after()
-    def call(self, function: str, *arguments: int | float) -> int:
-        """Call a function: see ``VirtualChip.call``. Returns register r0."""
-        self._uc.reg_write(arm_const.UC_ARM_REG_SP, self._stack_top)
-        set_arguments(self._uc, arguments, RETURN_ADDRESS)
-        self._state.instructions, self._state.limit, self._state.stop = 0, _LONGEST, Stop.NONE
-        try:
-            self._uc.emu_start(self._symbol(function) | 1, RETURN_ADDRESS)
-        except unicorn.UcError as error:
-            raise ChipError(f"{function} failed at 0x{self._pc:08x}: {error}") from error
-        if self._pc != RETURN_ADDRESS:
-            raise ChipError(f"{function} has not returned after {_LONGEST} instructions, at 0x{self._pc:08x}")
-        return int(self._uc.reg_read(arm_const.UC_ARM_REG_R0))
-
-    @property
-    def _pc(self) -> int:
-        return int(self._uc.reg_read(arm_const.UC_ARM_REG_PC))

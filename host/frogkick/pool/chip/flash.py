@@ -7,14 +7,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError, Peripheral, registers
+from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError, Peripheral, System, registers
 from frogkick.pool.chip.cost import PARTS
 from frogkick.pool.chip.hook import HookState, unicorn
-
-if TYPE_CHECKING:
-    from frogkick.pool.chip.chip import VirtualChip
 
 PAGE_BYTES: Final = 4096
 READ_ONLY, WRITE, ERASE = 0, 1, 2
@@ -117,7 +114,7 @@ class Nvmc(Peripheral):
     ]
     RESET_VALUES = {"READY": 1}
 
-    def __init__(self, system: VirtualChip, on_cache: Callable[[bool], None], flash: Flash) -> None:
+    def __init__(self, system: System, on_cache: Callable[[bool], None], flash: Flash) -> None:
         """``on_cache`` hears when the cache is switched."""
         super().__init__(system)
         self._on_cache = on_cache

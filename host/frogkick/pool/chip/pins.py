@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from frogkick.pool.chip.bus import CYCLES_PER_US, Peripheral, array, registers
+from frogkick.pool.chip.bus import CYCLES_PER_US, Peripheral, System, array, registers
 from frogkick.pool.chip.power import Power
-
-if TYPE_CHECKING:
-    from frogkick.pool.chip.chip import VirtualChip
 
 PINS: Final = 32
 _GPIOTE_CHANNELS: Final = 8
@@ -23,7 +20,7 @@ class Gpio(Peripheral):
     REGISTERS = [*registers("rw", OUTSET=0x508, OUTCLR=0x50C), *array("rw", "PIN_CNF[{}]", 0x700, PINS)]
     PAIR_BITS = (1 << PINS) - 1
 
-    def __init__(self, system: VirtualChip) -> None:
+    def __init__(self, system: System) -> None:
         """Start with all pins as inputs."""
         super().__init__(system)
         self._task_levels: dict[int, bool] = {}
@@ -69,7 +66,7 @@ class Gpiote(Peripheral):
         *array("rw", "CONFIG[{}]", 0x510, _GPIOTE_CHANNELS),
     ]
 
-    def __init__(self, system: VirtualChip, gpio: Gpio, on_clear: Callable[[int], None]) -> None:
+    def __init__(self, system: System, gpio: Gpio, on_clear: Callable[[int], None]) -> None:
         """Start with all channels off, beside their port; ``on_clear`` hears of each CLR task's channel."""
         super().__init__(system)
         self._gpio = gpio
@@ -156,7 +153,7 @@ class Saadc(Peripheral):
 
     works = True  # whether conversions ever end
 
-    def __init__(self, system: VirtualChip, power: Power) -> None:
+    def __init__(self, system: System, power: Power) -> None:
         """Disabled; ``power`` knows the voltages at the pins."""
         super().__init__(system)
         self._power = power

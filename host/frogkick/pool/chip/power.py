@@ -5,13 +5,10 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from frogkick.pool.chip.bus import CYCLES_PER_S, CYCLES_PER_US, NEVER, Peripheral, array, registers
+from frogkick.pool.chip.bus import CYCLES_PER_S, CYCLES_PER_US, NEVER, Peripheral, System, array, registers
 from frogkick.pool.chip.timer import HFINT_PERCENT, Timer
-
-if TYPE_CHECKING:
-    from frogkick.pool.chip.chip import VirtualChip
 
 LFCLK_HZ: Final = 32_768
 DOG: Final = 1 << 1
@@ -46,7 +43,7 @@ class Power(Peripheral):
     crystal_works = True  # whether the board's 32 MHz crystal ever starts
     _is_below = False
 
-    def __init__(self, system: VirtualChip) -> None:
+    def __init__(self, system: System) -> None:
         """Well supplied, nothing at the analogue inputs."""
         super().__init__(system)
         self.input_v = [0.0] * 8  # at the analogue inputs AIN0 to AIN7
@@ -99,7 +96,7 @@ class Watchdog(Peripheral):
     ]
     RESET_VALUES = {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
 
-    def __init__(self, system: VirtualChip, on_timeout: Callable[[], None]) -> None:
+    def __init__(self, system: System, on_timeout: Callable[[], None]) -> None:
         """``on_timeout`` resets the chip."""
         super().__init__(system)
         self._running = False
@@ -162,7 +159,7 @@ class Clock(Peripheral):
     ]
     RESET_VALUES = {"HFCLKSTAT": _RUNNING}
 
-    def __init__(self, system: VirtualChip, power: Power, timers: Sequence[Timer]) -> None:
+    def __init__(self, system: System, power: Power, timers: Sequence[Timer]) -> None:
         """Start on the internal oscillator, by which the timers count; ``power`` outlives a reset."""
         super().__init__(system)
         self._power = power
@@ -212,7 +209,7 @@ class Rng(Peripheral):
         *registers("r", VALUE=0x508),
     ]
 
-    def __init__(self, system: VirtualChip) -> None:
+    def __init__(self, system: System) -> None:
         """Stopped."""
         super().__init__(system)
         self._noise = random.Random(self.name)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from frogkick.pool.chip.bus import NEVER, Peripheral, array, registers
-
-if TYPE_CHECKING:
-    from frogkick.pool.chip.chip import VirtualChip
+from frogkick.pool.chip.bus import NEVER, Peripheral, System, array, registers
 
 CHANNELS: Final = 4
 _BITS: Final = {0: 16, 1: 8, 2: 24, 3: 32}
@@ -39,7 +36,7 @@ class Timer(Peripheral):
     RESET_VALUES = {"PRESCALER": 4}
     INTERRUPT_EVENTS = {16 + i: f"EVENTS_COMPARE[{i}]" for i in range(CHANNELS)}
 
-    def __init__(self, system: VirtualChip, number: int) -> None:
+    def __init__(self, system: System, number: int) -> None:
         """Start stopped at 0."""
         self.name, self.base = f"TIMER{number}", 0x4000_8000 + 0x1000 * number
         super().__init__(system)

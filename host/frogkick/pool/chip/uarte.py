@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from enum import Enum, auto
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from frogkick.pool.chip.bus import CYCLES_PER_S, NEVER, RAM_BASE, RAM_BYTES, Peripheral, registers
-
-if TYPE_CHECKING:
-    from frogkick.pool.chip.chip import VirtualChip
+from frogkick.pool.chip.bus import CYCLES_PER_S, NEVER, RAM_BASE, RAM_BYTES, Peripheral, System, registers
 
 BITS_PER_S: Final = 115_200
 _BITS_PER_BYTE: Final = 10
@@ -60,7 +57,7 @@ class Uarte(Peripheral):
         19: "EVENTS_RXSTARTED",
     }
 
-    def __init__(self, system: VirtualChip) -> None:
+    def __init__(self, system: System) -> None:
         """Start disabled."""
         super().__init__(system)
         self._arriving: deque[tuple[int, int]] = deque()

@@ -192,7 +192,7 @@ def test_what_few_draws_of_the_runs_would_take_is_unstable(
     shares = stability(fitted, data, True)
     assert min(shares[:2]) > 0.95 and shares[2] < STABLE
     begun = nominal_fit(whole, robot())
-    alone = fitted_to(whole, begun[1], (term("limb_wear front_left", 0.99, 0.0, 1.0),), 0)
+    alone = fitted_to(begun[0], (term("limb_wear front_left", 0.99, 0.0, 1.0),), 0)
     kept = pruned(Found(*begun, alone, [[]], [[]]), lambda *_: None)
     assert not kept.fitted.model.terms and not kept.stability and not kept.confounded_with
     joint = pruned(Found(*begun, alone, [], [[]]), lambda *_: None)

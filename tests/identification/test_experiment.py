@@ -195,19 +195,23 @@ def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPat
     planted = [{"name": "limb_memory", "loss": 0.35, "fade_s": 2.5}]
     swims = [make_swim(planted, seed, 0, "A" * 8) for seed in (31, 32)]
 
-    def fitted_to(runs: list[Segments]) -> Fitted:
-        data = Data(runs, np.ones(sum(len(swim.start_s) for swim in runs), dtype=bool))
+    def data_of(runs: list[Segments]) -> Data:
+        return Data(runs, np.ones(sum(len(swim.start_s) for swim in runs), dtype=bool))
+
+    def fitted_to(data: Data) -> Fitted:
         return fit(model(term("limb_memory", 0.34, 2.7)), data, steps_max=3)
 
-    before = fitted_to(swims)
-    ((_, fade),) = intervals(before)
+    data = data_of(swims)
+    before = fitted_to(data)
+    ((_, fade),) = intervals(before, data)
     assert fade.high - fade.low > WIDE * 9.8
-    planned = experiment_of(found_of(before, [[]]), intervals(before), swims, periods=6)
+    planned = experiment_of(found_of(before, [[]]), intervals(before, data), swims, periods=6)
     assert planned is not None and planned.between[0].startswith("limb_memory ")
-    after = fitted_to(
+    more = data_of(
         [*swims, make_swim(planted, 33, 0, planned.sequence), make_swim(planted, 34, 0, planned.sequence)]
     )
-    ((_, narrower),) = intervals(after)
+    after = fitted_to(more)
+    ((_, narrower),) = intervals(after, more)
     assert narrower.high - narrower.low < 0.5 * (fade.high - fade.low)
     assert narrower.low <= 2.5 <= narrower.high
 

@@ -125,8 +125,8 @@ def test_a_run_after_a_reset_goes_on_from_what_was_learned(
     assert again.exit_code == 0, again.stderr
     told = json.loads(again.stdout)
     assert told["mismatches"] == 0 and told["decisions"] == len(recording.decisions)
-    # A replay's robot takes the strokes when the log's did, but not its fixes to the microsecond: near ties, which
-    # depend on the table's last bits, may fall otherwise.
+    # A replay's robot takes the strokes when the log's did, but not its fixes to the microsecond: near ties
+    # may fall otherwise; which, depends on the table's last bits.
     assert told["agreement_with_recorded"] > 0.6
 
     own = replay_log(fetch_log(session), images["pool"], [tables()])

@@ -108,16 +108,14 @@ def calibrate(
         mount_heading_rad=math.radians(tag_heading_deg),
         offset_body_m=_signed_pair(tag_at_mm, "--tag-at-mm", 1e-3),
     )
-    made = calibrate_camera(
-        _pair(pool, "--pool"),
-        tag,
-        corners=corners,
-        plane_picture=plane_picture,
+    made = opt.call(
+        calibrate_camera,
+        locals(),
+        pool_m=_pair(pool, "--pool"),
+        tag=tag,
         image_px=None if image is None else _whole_pair(image, "--image"),
         height_m=corner_height_mm / 1e3,
-        camera_height_m=camera_height_m,
         board=None if board is None else Board(board, *_whole_pair(squares, "--squares"), square_mm / 1e3),
-        pictures=pictures,
         board_at_m=(0.0, 0.0) if plane_picture is None else _signed_pair(board_at, "--board-at", 1.0),
     )
     made.save(out)
@@ -165,14 +163,7 @@ def check(
     rendering = None
     if points is None and places is None:
         rendering = Rendering(*_whole_pair(grid, "--grid"), blur_px, noise, wave_mm / 1e3, seed)
-    checked = check_camera(
-        calibration,
-        points=points,
-        places=places,
-        rendering=rendering,
-        limit_mm=limit_mm,
-        limit_deg=limit_deg,
-    )
+    checked = opt.call(check_camera, locals(), rendering=rendering)
     facts, values = checked.summary(), checked.as_json()
     if out is not None:
         checked.draw(out / "error_map.png")
@@ -210,9 +201,7 @@ def track(
         x_m, y_m, heading_rad = fix.pose_world
         print(f"{x_m:.5f} {y_m:.5f} {heading_rad:.5f} {fix.delay_s:.4f}", flush=True)
 
-    found = track_camera(
-        calibration, source, seconds=seconds, view=view, each=(lambda _fix: None) if json else print_fix
-    )
+    found = opt.call(track_camera, locals(), each=(lambda _fix: None) if json else print_fix)
     values = found.as_json()
     if json:
         show(values, json)

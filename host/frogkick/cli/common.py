@@ -8,6 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import typer
 from rich.console import Console
 
 from frogkick.core.chunks import check_cluster
@@ -75,12 +76,14 @@ def say_left_out(rows: Sequence[Mapping[str, str]]) -> None:
         say(f"run {row['run']!r} is LEFT OUT: {row['reason']}")
 
 
-def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:
-    """Print a result: as one JSON object, or as text (by default the values, one a line)."""
-    if as_json:
-        print(json_text(values))
-        return
-    print(text or "\n".join(text_lines(values)))
+def show(values: Mapping[str, Any], as_json: bool, text: str = "", passed: bool = True) -> None:
+    """Print a result: as one JSON object, or as text (by default the values, one a line).
+
+    If it has not ``passed``, the command ends with exit code 1.
+    """
+    print(json_text(values) if as_json else text or "\n".join(text_lines(values)))
+    if not passed:
+        raise typer.Exit(1)
 
 
 def local_processes(workers: int, cluster: str | None) -> int:

@@ -103,9 +103,7 @@ def identify(
     """Identify the physical effects that a robot's model lacks. The exit code is 0 for any verdict."""
     for target in (out, predictions, report):
         require_writable(target)
-    found = fk.identify(
-        train, test=test, robot=robot, effects=effects, measured=measured, laws=laws, progress=True
-    )
+    found = opt.call(fk.identify, locals(), runs=train, progress=True)
     say_left_out(found.outcome.left_out)
     found.robot.save(out)
     if predictions is not None:
@@ -178,20 +176,7 @@ def retune(
     """
     from frogkick.front.retuning import TABLES, retune
 
-    made = retune(
-        runs,
-        robot=robot,
-        out=out,
-        table=tables,
-        states=states,
-        workers=workers,
-        push=push,
-        key=key,
-        seed=seed,
-        laws=laws,
-        left_out=say_left_out,
-        progress=True,
-    )
+    made = opt.call(retune, locals(), table=tables, left_out=say_left_out, progress=True)
     show(made.as_json(), json, printed(made, push))
     if made.not_pushed is not None:
         raise InputError(

@@ -161,19 +161,8 @@ def replay(
     """
     from frogkick.front.replaying import replay as replay_run
 
-    replayed = replay_run(
-        run,
-        plan=plan.value,
-        table=tables,
-        planner=planner and planner.value,
-        depth=depth,
-        robot=robot,
-        model=model,
-        progress=True,
-    )
-    show(replayed.as_json(), json)
-    if replayed.mismatches:
-        raise typer.Exit(1)
+    replayed = opt.call(replay_run, locals(), table=tables, progress=True)
+    show(replayed.as_json(), json, passed=not replayed.mismatches)
 
 
 def fetch(
@@ -204,6 +193,4 @@ def replay_fetched(
     from frogkick.front.replaying import replay_log
 
     found = replay_log(file, tables=tables, model=model, progress=True)
-    show(found.as_json(), json)
-    if found.result.mismatches:
-        raise typer.Exit(1)
+    show(found.as_json(), json, passed=not found.result.mismatches)

@@ -83,15 +83,7 @@ def simulate(
             "--actions uses the robot's own profile: leave out --egain-percent and --frequency-hz"
         )
     begin = (0.0, 0.0, 0.0) if actions is None else _velocity(initial_velocity)
-    result = fk.simulate(
-        described,
-        actions,
-        velocity_body=begin,
-        egain_percent=egain_percent,
-        frequency_hz=frequency_hz,
-        phase=phase,
-        cycles=cycles,
-    )
+    result = opt.call(fk.simulate, locals(), robot=described, velocity_body=begin)
     if out is not None:
         _write_csv(out, result)
     animated: dict[str, Any] = {}
@@ -141,17 +133,7 @@ def build_library(
     require_writable(out)
     processes = local_processes(workers, cluster)
     began = time.perf_counter()
-    made = fk.build_library(
-        described,
-        states,
-        seed,
-        sampling=sampling.value,
-        record_s=record_s,
-        workers=processes,
-        cluster=cluster,
-        out=out,
-        progress=True,
-    )
+    made = opt.call(fk.build_library, locals(), robot=described, workers=processes, progress=True)
     for failure in made.failed:
         name = described.actions[failure.action].name
         say(f"state {failure.state}, action {name} is left out of the tables: {failure.reason}")
@@ -304,7 +286,7 @@ def flash_firmware(
     """Flash the bench image into a development kit through its debug probe."""
     from frogkick.front.building import flash_firmware as flash
 
-    show(flash(image, table=tables, robot=robot, probe=probe, progress=True), json)
+    show(opt.call(flash, locals(), table=tables, progress=True), json)
 
 
 def check_firmware(
@@ -316,9 +298,7 @@ def check_firmware(
     from frogkick.front.building import try_firmware
 
     trial = try_firmware(tables, robot, progress=True)
-    show(trial.as_json(), json)
-    if not trial.passed:
-        raise typer.Exit(1)
+    show(trial.as_json(), json, passed=trial.passed)
 
 
 library = opt.group(

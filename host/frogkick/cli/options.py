@@ -6,7 +6,7 @@ import enum
 import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args
 
 import typer
 from typer.core import TyperGroup
@@ -72,6 +72,23 @@ Nominal = Annotated[
 
 Unseen = Annotated[Sampling, "How the unseen states are drawn, as for 'library build'."]
 World = Annotated[Path | None, "TOML file of effects that act in the pool but are in no model."]
+
+
+Found = TypeVar("Found")
+
+
+def call(function: Callable[..., Found], options: Mapping[str, Any], **others: Any) -> Found:
+    """Call a function of the front door with a command's options.
+
+    Args:
+        function: an option is given to its parameter of the same name.
+        options: the ``locals()`` of the command.
+        others: parameters that no option gives as it stands.
+    """
+    known = inspect.signature(function).parameters.keys() & options.keys()
+    given = {name: options[name] for name in known}
+    plain = {name: value.value if isinstance(value, enum.Enum) else value for name, value in given.items()}
+    return function(**{**plain, **others})
 
 
 class WholeLines(TyperGroup):

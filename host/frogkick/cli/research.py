@@ -48,20 +48,8 @@ def parity(
     """
     from frogkick.front.parity import compare_places
 
-    found = compare_places(
-        tables,
-        robot=model,
-        states=states,
-        chip_states=chip_states,
-        loop_decisions=loop_decisions,
-        planner=planner.value,
-        depth=depth,
-        seed=seed,
-        progress=True,
-    )
-    show(found.as_json(), json)
-    if not found.same:
-        raise typer.Exit(1)
+    found = opt.call(compare_places, locals(), table=tables, robot=model, progress=True)
+    show(found.as_json(), json, passed=found.same)
 
 
 def _compared(result: dict[str, Any]) -> str:
@@ -128,9 +116,7 @@ def validate(
         found.report(report)
         result["report"] = str(report)
     result["wall_s"] = round(time.perf_counter() - began, 3)
-    show(result, json, _compared(result))
-    if check and not found.held:
-        raise typer.Exit(1)
+    show(result, json, _compared(result), passed=not check or found.held)
 
 
 def _numbers(text: str | None, option: str) -> list[float] | None:
@@ -214,19 +200,9 @@ def sweep(
     }
     began = time.perf_counter()
     with progress_bar("sweep: gaits") as bar:
-        swept = run(
-            robot,
-            **designs,
-            phases=phases,
-            out=out,
-            workers=processes,
-            cluster=cluster,
-            progress=_with_rate(bar),
-        )
+        swept = opt.call(run, locals(), **designs, workers=processes, progress=_with_rate(bar))
     files = swept.save(out)
     result = swept.as_json()
     result["files"] = [str(file) for file in files]
     result["wall_s"] = round(time.perf_counter() - began, 3)
-    show(result, json, _ranked(swept, out))
-    if result["failures"]:
-        raise typer.Exit(1)
+    show(result, json, _ranked(swept, out), passed=not result["failures"])

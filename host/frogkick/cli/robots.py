@@ -83,21 +83,8 @@ def serve_pool(
     from frogkick.front.serving import served_pool
 
     began_s = time.monotonic()
-    with (
-        served_pool(
-            tables,
-            model=model,
-            robot="virtual" if virtual else "pool",
-            world=world,
-            camera=camera,
-            begin=begin,
-            flash=flash,
-            line=line,
-            port=port,
-            seed=seed,
-        ) as pool,
-        suppress(KeyboardInterrupt),
-    ):
+    served = opt.call(served_pool, locals(), table=tables, robot="virtual" if virtual else "pool")
+    with served as pool, suppress(KeyboardInterrupt):
         show(pool.as_json(), json)
         sys.stdout.flush()
         _serve(pool)

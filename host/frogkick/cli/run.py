@@ -185,32 +185,14 @@ def run(
         with _terminal(stdin_is_taken) as stream, Keys(stream, ask=not yes) as keys:
             yield keys
 
-    found = fk.run(
-        tables,
-        path,
-        robot=robot,
-        model=model,
-        world=world,
-        plan=plan.value,
-        planner=planner.value,
-        depth=depth,
-        learn=learn,
-        inside=inside,
+    found = opt.call(
+        fk.run,
+        locals(),
+        table=tables,
         then=then or (),
-        hold=hold,
-        seed=seed,
         time_limit_s=simulated_time,
         fix_rate_hz=fix_rate,
-        fixes=fixes,
-        source=source,
-        begin=begin,
-        dialect=dialect,
-        battery_v=battery_v,
-        key=key,
         operator=operator,
-        out=out,
-        view=view,
-        video=video,
         progress=True,
     )
     show(found.as_json(), json)

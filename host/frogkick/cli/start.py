@@ -41,7 +41,7 @@ def demo(
     """
     from frogkick.front.ring import demonstrate
 
-    ring, report = demonstrate(out, robot, states=states, depth=depth, seed=seed, progress=True)
+    ring, report = opt.call(demonstrate, locals(), progress=True)
     values = {**ring.as_json(), "report": str(report)}
     lines = [
         f"{name:8s} mean distance {1e3 * float(path['mean_distance_m']):5.1f} mm, "
@@ -51,9 +51,7 @@ def demo(
     ]
     if ring.closing is not None:
         lines += _closing_lines(ring.closing)
-    show(values, json, "\n".join([*lines, f"report: {report.resolve()}"]))
-    if not ring.passed:
-        raise typer.Exit(1)
+    show(values, json, "\n".join([*lines, f"report: {report.resolve()}"]), passed=ring.passed)
 
 
 def _closing_lines(closing: Closing) -> list[str]:
@@ -167,7 +165,7 @@ def fit_stroke(
 
     require_writable(out)
     require_writable(picture)
-    found = fit_strokes(strokes, egain_percent=egain_percent, frequency_hz=frequency_hz, length_m=length_m)
+    found = opt.call(fit_strokes, locals(), files=strokes)
     found.save(out)
     if picture is not None:
         write_picture(found.plot(), picture, ".png")

@@ -13,8 +13,6 @@ from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any, get_origin, get_type_hints
 
-import typer
-
 from frogkick.cli import options as opt
 from frogkick.cli.common import show
 from frogkick.core.errors import InputError
@@ -83,6 +81,4 @@ def _run(name: str, config: Any, as_json: bool) -> None:
         figure = out / f"{name}.png" if config.folder else out
         write_picture(found.plot(), figure, ".png")
         values["figure"] = str(figure)
-    show(values, as_json, found.text(values))
-    if not found.passed:
-        raise typer.Exit(1)
+    show(values, as_json, found.text(values), passed=found.passed)

@@ -16,12 +16,11 @@ import numpy as np
 
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import PredictionError
+from frogkick.core.progress import Stage, in_stages
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
 from frogkick.identification.outcome import Outcome, identify, write_robot
-from frogkick.identification.retune import steps
 from frogkick.identification.segments import read_segments
-from frogkick.identification.tables import Stage
 from frogkick.library import default_table
 from frogkick.paths import SHAPES
 from frogkick.planner.plan import config_of
@@ -248,7 +247,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
     learned = [swum(ring.built.image, tables, name, "swim and learn", learn=True) for name in paths]
     clock.lap("swim and learn")
     swims = [read_segments(log, robot) for log in logs]
-    with steps(bar) as tell:
+    with in_stages(bar, "identify") as tell:
         outcome = identify(swims[:-1], swims[-1:], robot, progress=tell)
     with bar("predict several periods ahead") as progress:
         ahead = len(outcome.horizons)

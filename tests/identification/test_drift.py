@@ -9,7 +9,7 @@ import pytest
 from made import robot
 from numpy.typing import NDArray
 
-from frogkick.identification.drift import Drift, drift_of, filter_offsets, firing_of
+from frogkick.identification.drift import Drift, drift_of, filter_offsets
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 
@@ -100,6 +100,6 @@ def test_one_wild_period_counts_only_so_much() -> None:
 
 def test_strokes_count_where_they_fire() -> None:
     swim, _, _ = made_run(1, 0.0, 10)
-    firing = firing_of(swim, robot())
+    firing = np.isfinite(swim.fired_s(len(robot().limbs)))
     told = {(round((time_s - 0.2 * limb) / PERIOD_S), int(limb)) for time_s, limb in swim.strokes}
     assert told == {(int(k), int(limb)) for k, limb in zip(*np.nonzero(firing), strict=True)}

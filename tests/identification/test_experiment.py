@@ -30,8 +30,8 @@ from frogkick.identification.fit import Fitted, Model, fit, residuals_of, rollou
 from frogkick.identification.search import Found
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import whitener
-from frogkick.identification.terms import Term
-from frogkick.identification.verdict import Interval, intervals
+from frogkick.identification.terms import Interval, Term
+from frogkick.identification.verdict import intervals
 from frogkick.robot import load_robot
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))

@@ -47,7 +47,7 @@ def test_the_limb_that_misfires_is_named(limb: str, chance: float) -> None:
     data, nominal = nominal_fit(swims, robot())
     found = misfires_of(nominal, data)
     assert found is not None and found.limbs == (limb,)
-    _, low, high = found.chance[0]
+    low, high = found.chance[0].interval
     assert low - 0.05 < chance < high + 0.05 and found.stability[0] > 0.9
     fewer = without_failed(swims, found)
     gone = sum(len(swim.strokes) for swim in swims) - sum(len(swim.strokes) for swim in fewer)
@@ -64,7 +64,7 @@ def test_no_limb_misfires_where_none_does() -> None:
         swims = [make_swim(effects, seed, 18) for seed in (1, 2, 3)]
         data, nominal = nominal_fit(swims, robot())
         found = misfires_of(nominal, data)
-        assert found is None or (effects and found.chance[0][0] > 0.4)
+        assert found is None or (effects and found.chance[0].value > 0.4)
 
 
 @from_ci
@@ -130,15 +130,15 @@ def test_fixes_that_jump_are_told_by_their_neighbours() -> None:
     right = sum(int(run.off[jumped(run.swim)[0]].sum()) for run in runs)
     told = sum(len(jumped(run.swim)[0]) for run in runs)
     assert right >= 0.9 * planted and told - right <= 0.1 * planted
-    assert found.size_m[0] == pytest.approx(6e-3, rel=0.1)
+    assert found.size.value == pytest.approx(6e-3, rel=0.1)
     kept = without_jumps([run.swim for run in runs])
     assert sum(len(swim.time_s) for swim in kept) == sum(len(run.swim.time_s) for run in runs) - told
     effect = found.term.effect()
     rng = np.random.default_rng(0)
     moved = [effect.fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0), rng) for _ in range(2000)]
     far = [np.hypot(fix.x_m, fix.y_m) for fix in moved if fix is not None]
-    assert np.mean(np.array(far) > 1e-3) == pytest.approx(found.chance[0], abs=0.02)
-    assert max(far) == pytest.approx(found.size_m[0])
+    assert np.mean(np.array(far) > 1e-3) == pytest.approx(found.chance.value, abs=0.02)
+    assert max(far) == pytest.approx(found.size.value)
 
 
 def test_no_fix_jumps_where_a_camera_is_moved_or_nothing_is_off() -> None:

@@ -18,23 +18,24 @@ from frogkick.cli.identify import printed
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
+from frogkick.core.progress import Stage
 from frogkick.effects import make_effect
-from frogkick.front import retuning as command_module
-from frogkick.front.retuning import Retuning
-from frogkick.identification import retune as module
-from frogkick.identification.outcome import Outcome
-from frogkick.identification.retune import (
+from frogkick.front import retune_tables as tables_module
+from frogkick.front import retuning as module
+from frogkick.front.retune_tables import RESTED, Tracked, earlier_actions, table_error, table_horizons
+from frogkick.front.retuning import (
     BEFORE,
     LIBRARY,
     REFUSED,
     ROBOT,
     TABLES,
     is_better,
-    retune,
+    require_new,
+    retuned,
     split,
 )
+from frogkick.identification.outcome import Outcome
 from frogkick.identification.segments import Segments, read_segments
-from frogkick.identification.tables import RESTED, Tracked, earlier_actions, table_error, table_horizons
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAINED
 from frogkick.robot import Robot, load_robot
@@ -69,7 +70,7 @@ class Tools:
     made: list[str] = field(default_factory=list)
     swum: list[bytes] = field(default_factory=list)
 
-    def tables(self, swimmer: Robot, library: Path, stage: module.Stage) -> bytes:
+    def tables(self, swimmer: Robot, library: Path, stage: Stage) -> bytes:
         self.made.append("worn" if swimmer.effects else "nominal")
         library.write_bytes(b"library")
         with stage("library") as progress:
@@ -213,7 +214,7 @@ def test_better_tables_are_kept_with_the_old_ones(
 ) -> None:
     tools, out = tools_of(known, 0.5e-3, 2e-3), tmp_path / "new"
     out.mkdir()  # an empty one is as good as none
-    result = retune(swims, robot(), out, tools, silent)
+    result = retuned(swims, robot(), out, tools, silent)
     assert result.better and result.done and not result.reason
     assert sorted(path.name for path in out.iterdir()) == sorted([BEFORE, "firmware", LIBRARY, ROBOT, TABLES])
     assert (out / TABLES).read_bytes() == b"worn" and (out / BEFORE).read_bytes() == b"nominal"
@@ -222,7 +223,7 @@ def test_better_tables_are_kept_with_the_old_ones(
     assert result.before.position_rmse_m == pytest.approx(2e-3)
     assert result.after.position_rmse_m == pytest.approx(0.5e-3)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
-    said = printed(Retuning(**vars(result), out=out))
+    said = printed(result)
     for told in (
         "old tables: 2.00 mm", "new tables: 0.50 mm", "10.0 mm from the path, 20.0 mm/s along it",
         "1 of 2 runs completed", "tables, 5 periods ahead: ", "effect limb_wear rear_left: gain 0.7 [",
@@ -240,7 +241,7 @@ def test_tables_that_are_no_better_are_refused(
     known: Outcome, swims: list[Segments], tmp_path: Path, worn_m: float
 ) -> None:
     tools, out = tools_of(known, worn_m, 2e-3), tmp_path / "new"
-    result = retune(swims, robot(), out, tools, silent, old=b"old")
+    result = retuned(swims, robot(), out, tools, silent, old=b"old")
     assert not result.better and not result.done and "no better on held-out" in result.reason
     assert tools.made == ["worn"] and tools.swum == [b"old", b"worn"]  # the old ones were given
     assert sorted(path.name for path in out.iterdir()) == sorted([BEFORE, LIBRARY, REFUSED, ROBOT])
@@ -266,7 +267,7 @@ def test_without_an_effect_nothing_is_made(
     )
     monkeypatch.setattr(module, "identify", lambda *_args, **_more: plain)
     tools = tools_of(found, 0.0, 0.0)
-    result = retune(swims, robot(), tmp_path / "new", tools, silent)
+    result = retuned(swims, robot(), tmp_path / "new", tools, silent)
     assert result.done is done and not result.better and said in result.reason
     assert result.tables is None and not tools.made and not tools.swum and result.loop is None
     assert not list(tmp_path.iterdir())
@@ -294,7 +295,7 @@ def test_of_what_tables_cannot_know_none_are_made(
         return Tracked(0.01, 0.02, 1, 2)
 
     monkeypatch.setattr(tools, "tracked", tracked)
-    result = retune(swims, robot(), tmp_path / "new", tools, silent)
+    result = retuned(swims, robot(), tmp_path / "new", tools, silent)
     assert "tables cannot know it" in result.reason and not list(tmp_path.iterdir())
     assert tools.made == ["nominal"] and pools == [2, 0], "what it costs, with a table as the robot has"
 
@@ -314,24 +315,24 @@ def test_stopped_amid_its_work_it_leaves_nothing(
 
     monkeypatch.setattr(tools, "firmware", stop)
     with pytest.raises((KeyboardInterrupt, InputError)):
-        retune(swims, robot(), tmp_path / "new", tools, silent)
+        retuned(swims, robot(), tmp_path / "new", tools, silent)
     assert tools.made == ["worn", "nominal"] and not list(tmp_path.iterdir())
 
 
-def test_a_folder_with_something_in_it_is_not_touched(swims: list[Segments], tmp_path: Path) -> None:
+def test_a_folder_with_something_in_it_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "tables.fkt").write_bytes(b"mine")
     with pytest.raises(InputError, match="is not empty"):
-        retune(swims, robot(), tmp_path, Tools({}), silent)
+        require_new(tmp_path)
     assert (tmp_path / "tables.fkt").read_bytes() == b"mine"
 
 
 def test_another_period_is_refused(swims: list[Segments], tmp_path: Path) -> None:
     slow = [replace(swims[0], period_s=2.0)]
     with pytest.raises(InputError, match=r"a period of 2\.000 s, robot 'frog2022' 1\.425 s"):
-        retune(slow, robot(), tmp_path / "new", Tools({}), silent)
+        retuned(slow, robot(), tmp_path / "new", Tools({}), silent)
     none = [*swims[:1], replace(swims[1], start_s=np.empty(0), end_s=np.empty(0))]
     with pytest.raises(InputError, match="no whole period"):
-        retune(none, robot(), tmp_path / "new", Tools({}), silent)
+        retuned(none, robot(), tmp_path / "new", Tools({}), silent)
 
 
 def command(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
@@ -364,8 +365,8 @@ def test_from_logs_to_firmware(
         return outcome
 
     monkeypatch.setattr(module, "identify", told)
-    monkeypatch.setattr(command_module, "LOOP_PATHS", ("line",))
-    monkeypatch.setattr(command_module, "LOOP_SEEDS", 1)
+    monkeypatch.setattr(tables_module, "LOOP_PATHS", ("line",))
+    monkeypatch.setattr(tables_module, "LOOP_SEEDS", 1)
     code, stdout, stderr = command(capsys, *runs, *given, "--out", out)
     values = json.loads(stdout)
     assert code == 0, stderr
@@ -400,8 +401,8 @@ def test_from_logs_to_firmware(
         library.write_bytes(b"library")
         return tables.image
 
-    monkeypatch.setattr(command_module._Tools, "tables", same)
-    monkeypatch.setattr(command_module._Tools, "tracked", lambda *_: Tracked(0.01, 0.02, 1, 1))
+    monkeypatch.setattr(tables_module.TableMaker, "tables", same)
+    monkeypatch.setattr(tables_module.TableMaker, "tracked", lambda *_: Tracked(0.01, 0.02, 1, 1))
     again = tmp_path / "again"
     code, stdout, stderr = command(capsys, *runs, *given, "--tables", out / TABLES, "--out", again)
     values = json.loads(stdout)

@@ -13,11 +13,10 @@ from tests.conftest import from_ci
 
 from frogkick.cli.identify import printed
 from frogkick.effects import Law, body_effects
-from frogkick.front.retuning import Retuning
-from frogkick.identification import retune as module
+from frogkick.front import retuning as module
+from frogkick.front.retune_tables import Tracked
+from frogkick.front.retuning import ROBOT, retuned
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.retune import ROBOT, retune
-from frogkick.identification.tables import Tracked
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot, load_robot
 
@@ -73,7 +72,7 @@ def test_what_no_table_holds_is_named_with_what_it_costs(
         return Tracked(0.01 * len(pools), 0.02, 1, 2)
 
     monkeypatch.setattr(tools, "tracked", tracked)
-    result = retune(swims, robot(), tmp_path / "new", tools, silent, laws=True)
+    result = retuned(swims, robot(), tmp_path / "new", tools, silent, laws=True)
     every = ["limb_wear", "spring", "stroke by speed"]
     assert result.better and pools == [every, every, ["limb_wear", "stroke by speed"]]
     assert result.as_json()["lost"] == {
@@ -81,7 +80,7 @@ def test_what_no_table_holds_is_named_with_what_it_costs(
         "with": {"mean_distance_m": 0.02, "progress_mps": 0.02, "completed": 1, "runs": 2},
         "without": {"mean_distance_m": 0.03, "progress_mps": 0.02, "completed": 1, "runs": 2},
     }
-    said = printed(Retuning(**vars(result), out=tmp_path / "new"))
+    said = printed(result)
     assert "no table can hold: spring" in said and "20.0 mm from the path with that in the pool" in said
     held = body_effects(load_robot(tmp_path / "new" / ROBOT))
     assert [effect.title for effect in held] == ["limb_wear", "stroke by speed"], (
@@ -90,8 +89,8 @@ def test_what_no_table_holds_is_named_with_what_it_costs(
 
     pools.clear()
     monkeypatch.setattr(module, "identify", lambda *_args, **_more: with_terms(known, PULLED))
-    alone = retune(swims, robot(), tmp_path / "none", tools, silent, b"old", laws=True)
+    alone = retuned(swims, robot(), tmp_path / "none", tools, silent, b"old", laws=True)
     assert "hangs on place, heading or time" in alone.reason and not (tmp_path / "none").exists()
     assert pools == [["spring"], []] and alone.lost is not None
-    made = retune(swims, robot(), tmp_path / "none", tools, silent, laws=True)
+    made = retuned(swims, robot(), tmp_path / "none", tools, silent, laws=True)
     assert made.lost is not None and len(pools) == 4, "with an old table of its own"

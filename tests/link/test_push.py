@@ -18,8 +18,8 @@ from tests.runs import rig
 
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import PredictionError
-from frogkick.identification import retune as retune_module
-from frogkick.identification.retune import BEFORE, TABLES, Retuned
+from frogkick.front import retuning as retune_module
+from frogkick.front.retuning import BEFORE, TABLES, Retuning
 from frogkick.identification.verdict import FOUND
 from frogkick.link.pty_line import PtyLine
 from frogkick.runs.runlog_file import write_run
@@ -129,7 +129,7 @@ def retuned(
         def tested_as_json(self) -> dict[str, object]:
             return {}
 
-    def given(_swims: Any, _robot: Any, out: Path, *_more: Any) -> Retuned:
+    def given(_swims: Any, _robot: Any, out: Path, *_more: Any) -> Retuning:
         out.mkdir()
         write_bytes(out / BEFORE, before)
         write_bytes(out / (TABLES if better else "refused.fkt"), after)
@@ -137,9 +137,12 @@ def retuned(
         outcome: Any = Known()
         reason = "" if better else "no better"
         tables = {"file": str(out / TABLES), "bytes": len(after), "states": 20}
-        return Retuned(outcome, errors[0], errors[1], better, reason, "run.h5", tables)
+        return Retuning(
+            outcome=outcome, before=errors[0], after=errors[1], better=better, reason=reason,
+            held_out="run.h5", tables=tables, out=out,
+        )  # fmt: skip
 
-    monkeypatch.setattr(retune_module, "retune", given)
+    monkeypatch.setattr(retune_module, "retuned", given)
     return frogkick(
         capsys, "retune", folder / "run.h5", "--robot", "frog2022", "--out", folder / "out", "--push", target,
         "--json",

@@ -21,8 +21,8 @@ from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.terms import Term, catalogue
-from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED, Interval
+from frogkick.identification.terms import Interval, Term, catalogue
+from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED
 from frogkick.robot import load_robot
 from frogkick_studies import verdicts
 from frogkick_studies.judged import Result, judged, recovered

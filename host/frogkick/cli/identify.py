@@ -35,8 +35,7 @@ def _effect_lines(outcome: Outcome) -> list[str]:
     """Return a line for each effect that was found, with the interval of each parameter."""
     lines = []
     for term, row in zip(outcome.terms, outcome.parameters, strict=True):
-        values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
-        lines.append(f"effect {term.title}: {values}")
+        lines.append(f"effect {term.title}: {', '.join(map(str, row))}")
     return lines
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Protocol
 
 Progress = bool | Callable[[int, int], None]
@@ -22,6 +22,10 @@ class Tell(Protocol):
 
     def __call__(self, done: int, whole: int, /, note: str = "") -> None:
         """Show that ``done`` of ``whole`` is done."""
+
+
+Stage = Callable[[str], AbstractContextManager[Tell]]
+"""Begins a stage of the work by its title."""
 
 
 class TellStage(Protocol):
@@ -91,3 +95,19 @@ def shown(progress: Progress, title: str) -> Iterator[Tell]:
             progress(done, whole)
 
     yield hand_on
+
+
+@contextmanager
+def in_stages(stage: Stage, title: str) -> Iterator[TellStage]:
+    """Yield a function that begins a stage of ``stage`` with each new name."""
+    with ExitStack() as begun:
+        current: dict[str, Tell] = {}
+
+        def tell(name: str, done: int, whole: int, /, note: str = "") -> None:
+            if name not in current:
+                begun.close()
+                current.clear()
+                current[name] = begun.enter_context(stage(f"{title}: {name}"))
+            current[name](done, whole, note)
+
+        yield tell

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
-from frogkick.core.progress import progress_bar
+from frogkick.core.progress import in_stages, progress_bar
 from frogkick.front.html import page_of
 from frogkick.front.running import Run, run_of
 from frogkick.identification.horizons import Horizon
@@ -21,34 +21,14 @@ from frogkick.identification.outcome import (
     write_predictions,
 )
 from frogkick.identification.outcome import identify as find
-from frogkick.identification.retune import steps
 from frogkick.identification.segments import segments_of
-from frogkick.identification.verdict import Interval
+from frogkick.identification.terms import FoundEffect, Interval
 from frogkick.robot import Robot, load_robot, parse_robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["FoundEffect", "Horizon", "Identification", "Interval", "Outcome", "identify"]
-
-
-@dataclass(frozen=True)
-class FoundEffect:
-    """An effect that explains the runs.
-
-    Attributes:
-        name: name in the catalogue, or of the user's own class.
-        options: the part that it acts on, such as ``{"limb": "rear_left"}``.
-        parameters: name -> value, interval (low, high; 95 %) and unit.
-        confounded_with: effects that these runs cannot distinguish from it.
-        stability: share of bootstrap samples of the training runs in which it was accepted, 0 to 1.
-    """
-
-    name: str
-    options: dict[str, Any]
-    parameters: dict[str, Interval]
-    confounded_with: tuple[str, ...]
-    stability: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,21 +47,10 @@ class Identification:
         ``not enough data``."""
         return self.outcome.verdict
 
-    @cached_property
+    @property
     def effects(self) -> tuple[FoundEffect, ...]:
         """The identified effects, with intervals and the effects that they may be confounded with."""
-        found = self.outcome.found
-        return tuple(
-            FoundEffect(
-                term.name,
-                term.options,
-                {each.name: each for each in row},
-                tuple(found.confounded_with[index]),
-                found.stability[index],
-            )
-            for index, (term, row) in enumerate(zip(self.outcome.terms, self.outcome.parameters, strict=True))
-            if found is not None
-        )
+        return self.outcome.effects
 
     @property
     def before(self) -> PredictionError:
@@ -147,11 +116,8 @@ class Identification:
     def _repr_html_(self) -> str:
         rows: dict[str, Any] = {"verdict": self.verdict}
         for effect in self.effects:
-            values = ", ".join(
-                f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
-                for p in effect.parameters.values()
-            )
-            rows[" ".join([effect.name, *map(str, effect.options.values())])] = values
+            title = " ".join([effect.name, *map(str, effect.options.values())])
+            rows[title] = ", ".join(map(str, effect.parameters.values()))
         for name in ("before", "after", "noise_floor"):
             rows[name] = str(getattr(self, name))
         if self.outcome.found is None:
@@ -216,7 +182,7 @@ def identify(
     own = None if effects is None else Path(effects)
     if not progress:
         return Identification(find(train, kept, described, own, measured=measured, laws=laws))
-    with steps(progress_bar) as tell:
+    with in_stages(progress_bar, "identify") as tell:
         found = find(train, kept, described, own, tell, measured, laws)
     with progress_bar("multi-step predictions, next experiment") as last:
         _ = found.horizons, found.experiment

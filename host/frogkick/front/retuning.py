@@ -3,46 +3,60 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from frogkick.core.errors import FrogkickError, InputError
-from frogkick.core.files import require_writable
-from frogkick.core.progress import Progress, shown
-from frogkick.effects import World, effects_of
+from frogkick.core.files import require_writable, write_bytes
+from frogkick.core.poses import PredictionError
+from frogkick.core.progress import Progress, Stage, in_stages, shown
 from frogkick.front.html import page_of
 from frogkick.front.identifying import Given, LeftOut, log_of
-from frogkick.front.places import built_firmware
+from frogkick.front.retune_tables import (
+    PERIOD_OFF,
+    Lost,
+    TableMaker,
+    Tracked,
+    table_error,
+    table_horizons,
+)
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
-from frogkick.identification import retune as retuning
-from frogkick.identification.retune import BEFORE, ROBOT, TABLES, Retuned, require_new
-from frogkick.identification.segments import reliable, segments_of
-from frogkick.identification.tables import Stage, Tracked
-from frogkick.library import build_library, fit_table
-from frogkick.library.fitting import looked_up
-from frogkick.paths import SHAPES
-from frogkick.robot import Robot, load_robot
-from frogkick.runs.trial import trials
-from frogkick.tables.image import open_image, read_image
-from frogkick_codegen.firmware import build, require_tools
+from frogkick.identification.horizons import Horizon
+from frogkick.identification.outcome import Outcome, found_toml, identify, write_robot
+from frogkick.identification.segments import Segments, reliable, segments_of
+from frogkick.identification.terms import Term
+from frogkick.identification.verdict import NOTHING, TOO_LITTLE
+from frogkick.robot import Robot, load_robot, parse_robot
+from frogkick_codegen.firmware import require_tools
 
 __all__ = ["BEFORE", "STATES", "TABLES", "Pushed", "Retuning", "retune"]
 
 STATES = 800
-SAMPLING = "visited"
-KIND = "affine"
-LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
+
+BETTER = 0.98
+"""The error of new tables must be at most this share of the old ones', in position or in heading."""
+
+HELD_OUT_MIN = 5
+"""Minimum of held-out periods with a measured end."""
+
+HELD_SHARE = 1.0 / 3.0
+"""Share of a single run's periods, its last ones, that is held out."""
+
+ROBOT, LIBRARY, TABLES = "robot.toml", "library.h5", "tables.fkt"
+BEFORE, REFUSED, FIRMWARE = "before.fkt", "refused.fkt", "firmware"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Retuning(Retuned):
+class Retuning:
     """The result of retuning a robot.
 
     Attributes:
@@ -50,18 +64,41 @@ class Retuning(Retuned):
         before, after: prediction errors of the old and the new tables one period ahead on held-out periods;
             NaN if no tables were made.
         better: whether the new tables predict better; otherwise the robot keeps its old ones.
-        done: whether the tables are right now: better new ones, or old ones that lack nothing.
         reason: the reason why the old tables stay; "" if they do not.
+        held_out: what was held out, in words.
         out: folder of the results; see ``retune``.
+        tables: path, bytes and states of the new tables, refused ones too; None if none were made.
+        firmware: sizes of the image; None if none was made.
+        loop: the old and the new tables in closed loop, in a pool with what was found; None if none were
+            made.
+        horizons: errors of the old and the new tables by horizon.
+        lost: effects that were found and that no table can hold, and what that costs; None if there are
+            none.
         left_out: runs that were not used: ``run`` and ``reason`` of each.
         pushed: the tables of the robot after sending, if they were sent.
         not_pushed: the error that prevented sending, or None.
     """
 
+    outcome: Outcome
+    before: PredictionError = field(default_factory=PredictionError)
+    after: PredictionError = field(default_factory=PredictionError)
+    better: bool = False
+    reason: str
+    held_out: str
     out: Path
+    tables: Mapping[str, Any] | None = None
+    firmware: Mapping[str, Any] | None = None
+    loop: tuple[Tracked, Tracked] | None = None
+    horizons: Sequence[Horizon] = ()
+    lost: Lost | None = None
     left_out: Sequence[Mapping[str, str]] = ()
     pushed: Pushed | None = None
     not_pushed: FrogkickError | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether the tables are right now: better new ones, or old ones that lack nothing."""
+        return self.better or self.outcome.verdict == NOTHING
 
     @property
     def robot(self) -> Robot:
@@ -74,15 +111,26 @@ class Retuning(Retuned):
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``retune``."""
-        values = {
-            **super().as_json(),
+        loop = None if self.loop is None else [each.as_json() for each in self.loop]
+        return {
+            "verdict": self.outcome.verdict,
+            "effects": self.outcome.effects_as_json(),
+            "before": {**self.before.as_json(), "periods": self.before.count},
+            "after": {**self.after.as_json(), "periods": self.after.count},
+            "horizons": [each.as_json() for each in self.horizons],
+            "closed_loop": None if loop is None else dict(zip(("before", "after"), loop, strict=True)),
+            "lost": None if self.lost is None else self.lost.as_json(),
+            "rods": self.outcome.tested_as_json(),
+            "held_out": self.held_out,
+            "better": self.better,
+            "reason": self.reason,
+            "tables": self.tables,
+            "firmware": self.firmware,
+            "bytes_sent": 0 if self.pushed is None else self.pushed.bytes_sent,
             "out": str(self.out) if self.tables else None,
-            "pushed": None,
+            "pushed": None if self.pushed is None else self.pushed.as_json(),
             "left_out": list(self.left_out),
         }
-        if self.pushed is not None:
-            values |= {"bytes_sent": self.pushed.bytes_sent, "pushed": self.pushed.as_json()}
-        return values
 
     def __repr__(self) -> str:
         names = ", ".join(term.title for term in self.outcome.terms) or "no effect"
@@ -145,8 +193,8 @@ def retune(
     swims, unused = reliable([segments_of(*log_of(each), described) for each in runs])
     left_out(unused)
     old = None if table is None else _carried(table, described)
-    tools = _Tools(states, seed, workers or os.cpu_count() or 1)
-    found = retuning.retune(swims, described, folder, tools, partial(shown, progress), old, laws)
+    tools = TableMaker(states, seed, workers or os.cpu_count() or 1)
+    found = retuned(swims, described, folder, tools, partial(shown, progress), old, laws)
     sent = failed = None
     if push is not None and found.better:
         try:
@@ -154,7 +202,7 @@ def retune(
             sent = push_table(push, folder / TABLES, folder / BEFORE, progress, owner)
         except FrogkickError as error:  # the results stay
             failed = error
-    return Retuning(**vars(found), out=folder, left_out=unused, pushed=sent, not_pushed=failed)
+    return replace(found, left_out=unused, pushed=sent, not_pushed=failed)
 
 
 def _carried(table: Table | Path | str, robot: Robot) -> bytes:
@@ -170,49 +218,212 @@ def _carried(table: Table | Path | str, robot: Robot) -> bytes:
     return opened.image
 
 
-@dataclass(frozen=True)
-class _Tools:
-    """Makes tables with a number of states and processes; see frogkick.identification.tables.Tools."""
+def retuned(
+    swims: Sequence[Segments],
+    robot: Robot,
+    out: Path,
+    tools: TableMaker,
+    stage: Stage,
+    old: bytes | None = None,
+    laws: bool = False,
+) -> Retuning:
+    """Retune by runs that were read. The folder ``out`` is made with all its files or not at all.
 
-    count: int
-    seed: int
-    workers: int
+    Raises:
+        InputError: a run has another period than the robot, or see ``identify``.
+    """
+    _check_periods(swims, robot)
+    train, test, held_out = split(swims)
+    with in_stages(stage, "identify") as tell:
+        outcome = identify(train, test, robot, progress=tell, laws=laws)
+    reason = _why_no_tables(outcome, len(swims) == 1)
+    if reason:
+        lost = _lost(outcome, robot, tools, stage, old)
+        return Retuning(outcome=outcome, reason=reason, held_out=held_out, out=out, lost=lost)
+    with _folder(out) as made:
+        write_robot(made / ROBOT, outcome)
+        worn = load_robot(made / ROBOT)
+        new = tools.tables(worn, made / LIBRARY, lambda title: stage(f"new {title}"))
+        if old is None:
+            old = tools.tables(robot, made / f"before-{LIBRARY}", lambda title: stage(f"old {title}"))
+            (made / f"before-{LIBRARY}").unlink()
+        write_bytes(made / BEFORE, old)
+        before, after = (table_error(tools, image, outcome) for image in (old, new))
+        horizons = table_horizons(tools, old, new, outcome)
+        better = is_better(before, after)
+        name = TABLES if better else REFUSED
+        write_bytes(made / name, new)
+        loop = []
+        for file, which in ((made / BEFORE, "old"), (made / name, "new")):
+            with stage(f"paths followed with the {which} tables, by a simulated robot like this") as progress:
+                loop.append(tools.tracked(file, worn, progress))
+        lost = _lost(outcome, worn, tools, stage, new if better else old, loop[1 if better else 0])
+        firmware = None
+        if better:
+            with stage("firmware") as progress:
+                firmware = tools.firmware(made / name, worn, made / FIRMWARE)
+                progress(1, 1)
+    return Retuning(
+        outcome=outcome,
+        before=before,
+        after=after,
+        better=better,
+        reason="" if better else _no_better(before, after),
+        held_out=held_out,
+        out=out,
+        tables={"file": str(out / name), "bytes": len(new), "states": tools.states(new)},
+        firmware=firmware,
+        loop=(loop[0], loop[1]),
+        horizons=horizons,
+        lost=lost,
+    )
 
-    def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
-        with stage(f"library of {self.count} states") as progress:
-            made = build_library(
-                robot, self.count, self.seed, self.workers, library, progress, SAMPLING, record_s=0.0
-            )
-        with stage("tables tried") as progress:
-            return fit_table(made, KIND, progress=progress).image
 
-    def states(self, image: bytes) -> int:
-        return len(open_image(image).states)
+def _lost(
+    outcome: Outcome,
+    robot: Robot,
+    tools: TableMaker,
+    stage: Stage,
+    image: bytes | None,
+    all_in: Tracked | None = None,
+) -> Lost | None:
+    """What no table can hold of what was found, and what that costs the tables that the robot will have.
 
-    def looked_up(
-        self, image: bytes, velocity_body: NDArray[np.float64], previous: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        return looked_up(open_image(image), velocity_body, previous)
+    Args:
+        image: of the tables; None: they are made as new ones are, without effects.
+        all_in: these in a pool with all that was found; None: not tried yet.
+    """
+    kept = [term for term in outcome.terms if term.effect().in_tables]
+    names = tuple(term.title for term in outcome.terms if term not in kept)
+    if not names:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        if image is None:
+            image = tools.tables(outcome.robot, Path(folder) / LIBRARY, lambda title: stage(f"old {title}"))
+        file = Path(folder) / TABLES
+        write_bytes(file, image)
 
-    def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
-        with built_firmware("native", tables, robot) as built:
-            runs = trials(
-                built.image,
-                read_image(tables),
-                robot,
-                lambda: World(effects_of(robot)),
-                LOOP_PATHS,
-                LOOP_SEEDS,
-                progress=progress,
-            )
-        numbers = [run.tracking for run in runs]
-        return Tracked(
-            float(np.mean([each.mean_distance_m for each in numbers])),
-            float(np.mean([each.progress_mps for each in numbers])),
-            sum(each.completed for each in numbers),
-            len(numbers),
+        def tracked(terms: Sequence[Term], which: str) -> Tracked:
+            swimmer = parse_robot(found_toml(outcome, None, terms), robot.id, outcome.robot.folder)
+            with stage(f"paths followed {which} what no table holds") as progress:
+                return tools.tracked(file, swimmer, progress)
+
+        return Lost(names, all_in or tracked(outcome.terms, "with"), tracked(kept, "without"))
+
+
+def require_new(out: Path) -> None:
+    """Refuse a folder that holds something: old tables must stay what they are.
+
+    Raises:
+        InputError: it does, or is no folder.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"--out {str(out)!r} is not empty: name a new folder")
+
+
+def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], str]:
+    """Training runs, test runs, and the test runs in words.
+
+    Of a single run the last third is the test. It is simulated from its first fix, because earlier actions
+    still act, but only the last third is judged. The training part holds none of its fixes.
+    """
+    if len(swims) > 1:
+        return list(swims[:-1]), [swims[-1]], f"run {swims[-1].name!r}"
+    (swim,) = swims
+    first = len(swim.start_s) - round(HELD_SHARE * len(swim.start_s))
+    if first == 0:
+        return [swim], [swim], "nothing"
+    cut_s = float(swim.end_s[first - 1])
+    seen = swim.arrival_s <= cut_s
+    learned = replace(
+        swim,
+        time_s=swim.time_s[seen],
+        arrival_s=swim.arrival_s[seen],
+        pose=swim.pose[seen],
+        strokes=tuple(stroke for stroke in swim.strokes if stroke[0] < cut_s),
+        start_s=swim.start_s[:first],
+        action=swim.action[:first],
+        end_s=swim.end_s[:first],
+    )
+    kept = replace(swim, judged_from=first)
+    return [learned], [kept], f"periods {first + 1} to {len(swim.start_s)} of the only run {swim.name!r}"
+
+
+def is_better(before: PredictionError, after: PredictionError) -> bool:
+    """Whether neither position nor heading is worse and one of them is clearly better."""
+    pairs = (
+        (before.position_rmse_m, after.position_rmse_m),
+        (before.heading_rmse_rad, after.heading_rmse_rad),
+    )
+    return (
+        after.count >= HELD_OUT_MIN
+        and all(now <= then for then, now in pairs)
+        and any(now < BETTER * then for then, now in pairs)
+    )
+
+
+def _why_no_tables(outcome: Outcome, single: bool) -> str:
+    """Why no tables are to be made; "" if they are."""
+    if outcome.verdict == TOO_LITTLE:
+        return outcome.reason + (", a third of a single run is held out" if single else "")
+    if outcome.verdict == NOTHING:
+        return "the tables' robot explains these runs: the old tables stay"
+    if not outcome.terms:
+        return "no known effect explains what these runs show: the old tables stay (see identify --report)"
+    judged = sum(int(np.isfinite(swim.measured).all(axis=1).sum()) for swim in outcome.test)
+    if judged < HELD_OUT_MIN:
+        return f"{judged} held-out periods with fixes, needed are {HELD_OUT_MIN}: record a longer last run"
+    if not any(term.effect().in_tables for term in outcome.terms):
+        names = ", ".join(term.title for term in outcome.terms)
+        return (
+            f"what was found ({names}) is in the camera or the water or hangs on place, heading or time, "
+            "tables cannot know it: the old stay"
         )
+    return ""
 
-    def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
-        built = build("bench", tables, robot, out)
-        return {"image": built.image.name, "flash_bytes": built.flash_bytes, "ram_bytes": built.ram_bytes}
+
+def _no_better(before: PredictionError, after: PredictionError) -> str:
+    if after.count < HELD_OUT_MIN:
+        return f"the tables could be judged on {after.count} held-out periods, needed are {HELD_OUT_MIN}"
+    return f"the new tables are no better on held-out periods: {after} after {before}; the old ones stay"
+
+
+def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:
+    """Refuse runs with another period than the tables will have.
+
+    Raises:
+        InputError: no runs, one without a whole period, or another period.
+    """
+    if not swims:
+        raise InputError("no runs: give the robot's last logs")
+    for swim in swims:
+        if abs(swim.period_s / robot.period_s - 1.0) > PERIOD_OFF:
+            raise InputError(
+                f"run {swim.name!r} has a period of {swim.period_s:.3f} s, robot {robot.id!r} "
+                f"{robot.period_s:.3f} s: give a --robot with the run's period"
+            )
+    if not len(swims[-1].start_s):
+        raise InputError(f"run {swims[-1].name!r} has no whole period with fixes: give a longer run")
+
+
+@contextmanager
+def _folder(out: Path) -> Iterator[Path]:
+    """A folder beside ``out`` that becomes it on success and is removed on any error.
+
+    Raises:
+        InputError: it cannot be made there.
+    """
+    out = out.resolve()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    except OSError as error:
+        raise InputError(f"cannot write {str(out)!r}: {error.strerror}; choose another --out") from error
+    try:
+        yield made
+        made.chmod(0o755)
+        if out.is_dir():
+            out.rmdir()  # an empty one; another one's files since then stop it
+        os.replace(made, out)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)

@@ -26,7 +26,7 @@ from frogkick.core.poses import world_from_body
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Fitted
 from frogkick.identification.predict import PHASES
-from frogkick.identification.responses import THIRDS, Responses, fired_strokes
+from frogkick.identification.responses import THIRDS, Responses
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import log_density, scale_of
 
@@ -232,7 +232,7 @@ def stroke_ratios(
     fitted: Fitted, responses: Responses, data: Data, limbs: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Log likelihood ratio of fired to not fired for each stroke, with all others as commanded."""
-    times = data.used(fired_strokes(swim, len(limbs)) for swim in data.swims)
+    times = data.used(swim.fired_s(len(limbs)) for swim in data.swims)
     # The scale is estimated from the residuals of the hypothesis that is clearly better, if one is.
     plain = fitted.residuals[:, :, None]
     every = np.concatenate([plain, plain + responses.idle], axis=2)

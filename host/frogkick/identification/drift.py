@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frogkick.core.arrays import Float64
+from frogkick.core.arrays import Bool, Float64
 from frogkick.core.poses import world_from_body
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
@@ -61,27 +61,19 @@ class Drift:
 
     def _offsets(self, rollout: Rollout, swim: Segments, robot: Robot) -> Float64:
         """(m, 3) predicted offset at the end of each period, by the pose at its start."""
-        firing, columns = firing_of(swim, robot), []
+        firing, columns = np.isfinite(swim.fired_s(len(robot.limbs))), []
         numbers = zip(rollout.residuals[:, -3:].T, self.size, self.random_walk, self.huber_sigma, strict=True)
         for observed, size, walk, huber_sigma in numbers:
             columns.append(filter_offsets(observed / size, firing, walk, huber_sigma) * size)
         return np.column_stack(columns)
 
 
-def firing_of(swim: Segments, robot: Robot) -> Float64:
-    """(m, limbs) 1 where a limb fires in a period, else 0."""
-    found = np.zeros((len(swim.start_s), len(robot.limbs)))
-    for time_s, limb in swim.strokes:
-        found[(swim.start_s - 1e-6 <= time_s) & (time_s < swim.end_s - 1e-6), limb] = 1.0
-    return found
-
-
-def filter_offsets(observed: Float64, firing: Float64, random_walk: float, huber_sigma: float) -> Float64:
+def filter_offsets(observed: Float64, firing: Bool, random_walk: float, huber_sigma: float) -> Float64:
     """(m,) predicted offset of each period from those before it (Kalman filter).
 
     Args:
         observed: (m,) residual of each period, in units of the residuals' size; NaN if unknown.
-        firing: (m, limbs).
+        firing: (m, limbs) whether a limb fires in a period.
         random_walk: variance that each limb's offset gains in a period; 0 = offsets stay at 0.
         huber_sigma: clipping threshold of innovations.
     """
@@ -90,7 +82,7 @@ def filter_offsets(observed: Float64, firing: Float64, random_walk: float, huber
         return expected
     limbs = firing.shape[1]
     offset, covariance = np.zeros(limbs), INITIAL_VARIANCE * np.eye(limbs)
-    for period, (observation, fires) in enumerate(zip(observed, firing, strict=True)):
+    for period, (observation, fires) in enumerate(zip(observed, firing.astype(np.float64), strict=True)):
         covariance += random_walk * np.eye(limbs)
         expected[period] = fires @ offset
         if not np.isfinite(observation):
@@ -105,7 +97,7 @@ def drift_of(rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robo
     """Drift of the limbs in the training runs; None if tracking it gains next to nothing there."""
     residuals = [rollout.end_errors(swim) for rollout, swim in zip(rollouts, swims, strict=True)]
     observed = [rollout.residuals[:, -3:] for rollout in rollouts]
-    firing = [firing_of(swim, robot) for swim in swims]
+    firing = [np.isfinite(swim.fired_s(len(robot.limbs))) for swim in swims]
     every = np.concatenate(residuals)
     known = np.isfinite(every).all(axis=1)
     if not known.any():

@@ -28,8 +28,7 @@ from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.search import Found
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import whitener
-from frogkick.identification.terms import Term
-from frogkick.identification.verdict import Interval
+from frogkick.identification.terms import Interval, Term
 from frogkick.robot import Robot, in_a_row
 
 PERIODS = 10

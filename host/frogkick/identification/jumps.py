@@ -18,7 +18,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
 from frogkick.identification.segments import Segments
-from frogkick.identification.terms import Term, law_term
+from frogkick.identification.terms import Interval, Term, law_term
 
 FAR_SIGMA = 6.0
 """A fix is far off if its distance is more than this many robust standard deviations."""
@@ -34,8 +34,8 @@ APART_S = 0.6
 class Jumps:
     """How often fixes jump and how far."""
 
-    chance: tuple[float, float, float]  # probability that a fix jumps, and the ends of its 95 % interval
-    size_m: tuple[float, float, float]  # root mean square distance, and the ends of its interval
+    chance: Interval  # probability that a fix jumps
+    size: Interval  # root mean square distance
 
     @property
     def term(self) -> Term:
@@ -50,7 +50,7 @@ class Jumps:
             "x_m": f"size * (chance < jumping) * cos({turn})",
             "y_m": f"size * (chance < jumping) * sin({turn})",
         }
-        return law_term("fixes that jump", table, declared, (self.chance[0], self.size_m[0]))
+        return law_term("fixes that jump", table, declared, (self.chance.value, self.size.value))
 
 
 def jumps_of(swims: Sequence[Segments]) -> Jumps | None:
@@ -66,8 +66,10 @@ def jumps_of(swims: Sequence[Segments]) -> Jumps | None:
     squares = sizes**2
     size = float(np.sqrt(squares.mean()))
     spread = float(1.96 * squares.std() / np.sqrt(len(sizes)) / (2.0 * size)) + 2e-4
-    share = len(sizes) / count
-    return Jumps((share, float(low), float(high)), (size, max(size - spread, 0.0), size + spread))
+    return Jumps(
+        Interval("jumping", len(sizes) / count, float(low), float(high), "1"),
+        Interval("size", size, max(size - spread, 0.0), size + spread, "m"),
+    )
 
 
 def without_jumps(swims: Sequence[Segments]) -> list[Segments]:

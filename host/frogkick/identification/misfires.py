@@ -19,7 +19,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -37,10 +36,10 @@ from frogkick.identification.fit import (
     rollouts_of,
 )
 from frogkick.identification.predict import Rollout
-from frogkick.identification.responses import Values, Weaker, fired_strokes, rollouts_with
+from frogkick.identification.responses import Values, Weaker, rollouts_with
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import DOF, deviance_of, log_density, scale_of
-from frogkick.identification.terms import Term, law_term
+from frogkick.identification.terms import Interval, Term, law_term
 
 CHANCES = (0.01, 0.7)
 """Smallest and largest probability of a misfire: a limb that mostly does nothing is worn."""
@@ -92,8 +91,7 @@ class Misfires:
     base: Fitted  # the fitted model without misfires
     limbs: tuple[str, ...]  # names of the limbs
     indices: tuple[int, ...]  # indices of the limbs
-    # probability of a misfire of each limb, and the ends of its interval
-    chance: list[tuple[float, float, float]]
+    chance: list[Interval]  # probability of a misfire of each limb
     scale: Float64  # scale matrix of the residuals at the ends of periods, by the mixture
     # for each limb, (run, time_s, probability that it did nothing) of each stroke
     failed: list[list[tuple[str, float, float]]]
@@ -104,13 +102,13 @@ class Misfires:
     @property
     def terms(self) -> tuple[Term, ...]:
         """A law for each limb."""
-        return tuple(_term(limb, each[0]) for limb, each in zip(self.limbs, self.chance, strict=True))
+        return tuple(_term(limb, each.value) for limb, each in zip(self.limbs, self.chance, strict=True))
 
     def scores(self, swims: Sequence[Segments], rows: Sequence[Bool]) -> list[Float64]:
         """Log density of the residuals at the ends of each run's used periods, by the mixture."""
         (rollouts,) = rollouts_of([self.base.model], swims)
         every = _ends(self.base.model, self.indices, swims, rollouts)
-        chance = np.array([each[0] for each in self.chance])
+        chance = np.array([each.value for each in self.chance])
         return [
             _log_sum(_joint(ends[row], changes[row], fired[row], chance, self.scale))
             for ends, changes, fired, row in zip(*every, rows, strict=True)
@@ -132,20 +130,6 @@ class Misfires:
                     return True
         return False
 
-    def as_json(self) -> list[dict[str, Any]]:
-        """For each limb its probability of a misfire and, for each stroke, that it failed."""
-        return [
-            {
-                "limb": limb,
-                "chance": chance,
-                "interval": [low, high],
-                "strokes": [
-                    {"run": run, "time_s": time_s, "failed": share} for run, time_s, share in strokes
-                ],
-            }
-            for limb, (chance, low, high), strokes in zip(self.limbs, self.chance, self.failed, strict=True)
-        ]
-
 
 def misfires_of(base: Fitted, data: Data, changes: Float64 | None = None) -> Misfires | None:
     """Select limbs that misfire by forward selection; None if no limb explains more than chance.
@@ -161,7 +145,7 @@ def misfires_of(base: Fitted, data: Data, changes: Float64 | None = None) -> Mis
         changes = np.stack([residuals_of(each, data.rows) - plain for each in moved[1:]], axis=2)
     changes = changes.copy()
     changes[(np.abs(changes) > 0.5 * DIVERGED[:, None]).any(axis=(1, 2))] = 0.0  # a simulation failed
-    times = data.used(fired_strokes(swim, len(limbs)) for swim in swims)
+    times = data.used(swim.fired_s(len(limbs)) for swim in swims)
     fired = np.isfinite(times)
     least = deviance_of(base.residuals)
     taken: list[int] = []
@@ -197,7 +181,8 @@ def misfires_of(base: Fitted, data: Data, changes: Float64 | None = None) -> Mis
         return None
     names = [model.robot.limbs[limb].name for limb in taken]
     chance = [
-        (float(best.chance[k]), *_interval(best, base, changes, fired, taken, k)) for k in range(len(taken))
+        Interval("failing", float(best.chance[k]), *_interval(best, base, changes, fired, taken, k), "1")
+        for k in range(len(taken))
     ]
     failed = [
         [
@@ -339,7 +324,7 @@ def _ends(
         np.nan_to_num(np.stack([each[run] - ends[0][run] for each in ends[1:]], axis=2))
         for run in range(len(swims))
     ]
-    fired = [np.isfinite(fired_strokes(swim, len(model.robot.limbs))[:, list(limbs)]) for swim in swims]
+    fired = [np.isfinite(swim.fired_s(len(model.robot.limbs))[:, list(limbs)]) for swim in swims]
     plain = [end_errors(rollout, swim) for rollout, swim in zip(rollouts, swims, strict=True)]
     return plain, changes, fired
 

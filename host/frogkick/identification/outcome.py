@@ -42,13 +42,12 @@ from frogkick.identification.laws import MOMENT, moment_intervals
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable
-from frogkick.identification.terms import Term, catalogue
+from frogkick.identification.terms import FoundEffect, Interval, Term, catalogue
 from frogkick.identification.verdict import (
     FOUND,
     FOUND_LAW,
     PARTLY,
     TOO_LITTLE,
-    Interval,
     Scored,
     discretisation_shift,
     fix_noise,
@@ -146,23 +145,22 @@ class Outcome:
         """What to record to confirm or refute a law; None without one."""
         return None if self.found is None else law_test(self.found, self.train)
 
-    def effects_as_json(self) -> list[dict[str, Any]]:
+    @cached_property
+    def effects(self) -> tuple[FoundEffect, ...]:
         """What was found."""
         if self.found is None:
-            return []
-        return [
-            {
-                "name": term.name,
-                **term.options,
-                "parameters": {
-                    each.name: {"value": each.value, "interval": [each.low, each.high], "unit": each.unit}
-                    for each in row
-                },
-                "not_told_from": self.found.confounded_with[index],
-                "stability": self.found.stability[index],
-            }
-            for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True))
-        ]
+            return ()
+        found = zip(
+            self.terms, self.parameters, self.found.confounded_with, self.found.stability, strict=True
+        )
+        return tuple(
+            FoundEffect(term.name, term.options, {each.name: each for each in row}, tuple(others), share)
+            for term, row, others, share in found
+        )
+
+    def effects_as_json(self) -> list[dict[str, Any]]:
+        """The key ``effects`` of the command."""
+        return [effect.as_json() for effect in self.effects]
 
     @cached_property
     def residuals(self) -> dict[str, Any] | None:
@@ -303,9 +301,9 @@ def _parameters(found: Found) -> list[list[Interval]]:
     """Intervals of each term's parameters. Those of chances are known: no prediction depends on them."""
     by_chance: list[list[Interval]] = []
     if found.misfires is not None:
-        by_chance += [[Interval("failing", *each, "1")] for each in found.misfires.chance]
-    if (jumps := found.jumps) is not None:
-        by_chance += [[Interval("jumping", *jumps.chance, "1"), Interval("size", *jumps.size_m, "m")]]
+        by_chance += [[chance] for chance in found.misfires.chance]
+    if found.jumps is not None:
+        by_chance += [[found.jumps.chance, found.jumps.size]]
     fitted = found.fitted.first(len(found.fitted.model.terms) - len(by_chance))
     known = intervals(fitted, found.data, discretisation_shift(fitted, found.data))
     for place, (low, high) in moment_intervals(fitted, found.data).items():

@@ -51,8 +51,6 @@ class Rollout:
     variance: Float64  # (n, 3) of the innovations
     difference: Float64  # (n, 3) fix minus a trajectory that was never corrected: for the fit of the noise
     predicted: Float64  # (m, 3) pose at each period's end as the camera would show it, NaN where none
-    # (m, 3) standard deviation of these, propagated from the state at the period's start
-    predicted_std: Float64
     start: Float64  # (m, 6) pose (world) and velocity (body) at each period's start
     # (m, 9) mean of fix minus prediction over the three phases of each period: forward, left (m) and heading
     # (rad) by the pose at its start; NaN if a phase has no fix
@@ -121,7 +119,7 @@ class LaneState:
         self.next_stroke = self.next_segment = 0
         self.times, self.poses = np.empty(0), np.empty((0, 3))
         self.moved = np.zeros((3, 2))  # all corrections, as of time 0
-        self.predicted, self.predicted_std = np.full((periods, 3), np.nan), np.full((periods, 3), np.nan)
+        self.predicted = np.full((periods, 3), np.nan)
         self.start = np.full((periods, 6), np.nan)
         self.residuals = np.full((periods, 3 * len(PHASES)), np.nan)
         self.rows = [(np.empty(0), *[np.empty((0, 3))] * 3)]  # of each correction, for Rollout
@@ -135,11 +133,13 @@ class LaneState:
 
     def rollout(self) -> Rollout:
         """Its prediction, at the end."""
-        columns = [np.concatenate(parts) for parts in zip(*self.rows, strict=True)]
+        time_s, innovation, variance, difference = (
+            np.concatenate(parts) for parts in zip(*self.rows, strict=True)
+        )
         if self.failed:
-            columns[1] = np.full_like(columns[1], np.nan)
-        outcome = self.predicted, self.predicted_std, self.start, self.residuals
-        return Rollout(columns[0], columns[1], columns[2], columns[3], *outcome, self.failed)
+            innovation = np.full_like(innovation, np.nan)
+        fixes = time_s, innovation, variance, difference
+        return Rollout(*fixes, self.predicted, self.start, self.residuals, self.failed)
 
 
 class RolloutBatch:
@@ -259,10 +259,6 @@ class RolloutBatch:
         for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
             if lane_state.corrected_s <= swim.start_s[period] + 1e-6 and len(lane_state.times):
                 lane_state.predicted[period] = self.camera_fix_at(lane_state, at_s)[1]
-                before = Filter(lane_state.lane.noise, swim.actuated_s, lane_state.filter.time_s)
-                before.covariance = lane_state.filter.covariance.copy()
-                before.predict(at_s)
-                lane_state.predicted_std[period] = np.sqrt(before.covariance[:, 0])
                 ended = int(period)
         first = lane_state.next_fix
         while lane_state.next_fix < len(swim.time_s) and swim.arrival_s[lane_state.next_fix] <= at_s + 1e-9:

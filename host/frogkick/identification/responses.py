@@ -10,7 +10,7 @@ gains do not depend on the values of the fixes, so the responses to them are com
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -301,8 +301,10 @@ def _strokes(swims: Sequence[Segments], robot: Robot) -> Values:
         others = [f"since_{limb.name}_s" for limb in robot.limbs]
         for name in ("strokes", "since_s", *others):
             seen[name] = np.zeros((count, limbs))
-        for period, limb, time_s, history in _fired(swim):
-            at = period, limb
+        fired_s = swim.fired_s(limbs)
+        for period, limb in np.argwhere(np.isfinite(fired_s)).tolist():
+            at, time_s = (period, limb), float(fired_s[period, limb])
+            history = History(list(swim.strokes[: swim.strokes.index((time_s, limb))]))
             seen["time_s"][at], seen["strokes"][at] = time_s, history.pulses
             since = [min(history.since_s(k, time_s), LONG_AGO_S) for k in range(limbs)]
             seen["since_s"][at] = since[limb]
@@ -310,24 +312,6 @@ def _strokes(swims: Sequence[Segments], robot: Robot) -> Values:
                 seen[name][at] = value
         parts.append(seen)
     return {"chance": 0.5, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]}}
-
-
-def fired_strokes(swim: Segments, limbs: int) -> Float64:
-    """(m, l) time of each limb's first stroke in each period, s; NaN if it did not fire."""
-    found = np.full((len(swim.start_s), limbs), np.nan)
-    for period, limb, time_s, _ in _fired(swim):
-        found[period, limb] = time_s
-    return found
-
-
-def _fired(swim: Segments) -> Iterator[tuple[int, int, float, History]]:
-    """Yield each limb's first stroke in each period: period, limb, time, history of strokes."""
-    for period, (start_s, end_s) in enumerate(zip(swim.start_s, swim.end_s, strict=True)):
-        known: set[int] = set()
-        for k, (time_s, limb) in enumerate(swim.strokes):
-            if start_s - 1e-6 <= time_s < end_s - 1e-6 and limb not in known:
-                known.add(limb)
-                yield period, limb, time_s, History(list(swim.strokes[:k]))
 
 
 def _joined(parts: Sequence[Float64], rows: Bool) -> Any:

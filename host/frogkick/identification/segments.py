@@ -99,6 +99,13 @@ class Segments:
                 kept.append(time)
         return np.array(kept)
 
+    def fired_s(self, limbs: int) -> Float64:
+        """(m, limbs) time of each limb's first stroke in each period, s; NaN if it did not fire."""
+        found = np.full((len(self.start_s), limbs), np.nan)
+        for time_s, limb in reversed(self.strokes):
+            found[(self.start_s - 1e-6 <= time_s) & (time_s < self.end_s - 1e-6), limb] = time_s
+        return found
+
     def states_at_starts(self, noise: Noise) -> Iterator[tuple[float, Float64]]:
         """Time and covariance (see ``Filter``) of the state of a perfect simulation at each period's start.
 

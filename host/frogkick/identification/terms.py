@@ -16,6 +16,30 @@ from frogkick.robot import Robot
 
 
 @dataclass(frozen=True)
+class Interval:
+    """A number that was estimated: value, interval (95 %), unit."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Low and high."""
+        return self.low, self.high
+
+    def contains(self, value: float, times: float = 1.0) -> bool:
+        """Whether the interval contains a value, or one ``times`` as wide does."""
+        more = 0.5 * (times - 1.0) * (self.high - self.low)
+        return self.low - more <= value <= self.high + more
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}"
+
+
+@dataclass(frozen=True)
 class Term:
     """An effect with values for its parameters."""
 
@@ -60,6 +84,38 @@ class Term:
             min(max(float(value), p.low), p.high) for value, p in zip(values, self.parameters, strict=True)
         ]
         return replace(self, values=tuple(inside))
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that explains the runs.
+
+    Attributes:
+        name: name in the catalogue, or of the user's own class.
+        options: the part that it acts on, such as ``{"limb": "rear_left"}``.
+        parameters: name -> value, interval (low, high; 95 %) and unit.
+        confounded_with: effects that these runs cannot distinguish from it.
+        stability: share of bootstrap samples of the training runs in which it was accepted, 0 to 1.
+    """
+
+    name: str
+    options: dict[str, Any]
+    parameters: dict[str, Interval]
+    confounded_with: tuple[str, ...]
+    stability: float
+
+    def as_json(self) -> dict[str, Any]:
+        """One of ``effects``."""
+        return {
+            "name": self.name,
+            **self.options,
+            "parameters": {
+                name: {"value": each.value, "interval": list(each.interval), "unit": each.unit}
+                for name, each in self.parameters.items()
+            },
+            "not_told_from": list(self.confounded_with),
+            "stability": self.stability,
+        }
 
 
 def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:

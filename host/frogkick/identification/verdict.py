@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found
 from frogkick.identification.segments import ACTUATION_S, Data, Segments, replicate_count
 from frogkick.identification.steps import log_density, scale_of
+from frogkick.identification.terms import Interval
 
 NOTHING, FOUND, PARTLY = "nothing missing", "found", "partly explained"
 FOUND_LAW = "found: law"
@@ -172,32 +173,16 @@ def repeatability(
     )
 
 
-@dataclass(frozen=True)
-class Gain:
-    """Gain of the log score by effects: the mean log predictive density of a period.
-
-    Attributes:
-        value: with minus without the effects, nats a period.
-        low, high: interval of 95 % by block bootstrap.
-    """
-
-    value: float
-    low: float
-    high: float
-
-    def as_json(self) -> dict[str, Any]:
-        """The key ``log_score_gain`` of the command."""
-        return {"value": self.value, "interval": [self.low, self.high]}
-
-
 def log_score_gain(
     found: Found,
     swims: Sequence[Segments],
     before: Sequence[Rollout],
     after: Sequence[Rollout],
     raw: tuple[Sequence[Segments], Sequence[Segments]],
-) -> Gain:
-    """Log score gain of the measured ends of periods, paired by period; for the arguments see ``scored``.
+) -> Interval:
+    """Gain of the log score by effects: with minus without, paired by the measured ends of periods.
+
+    For the arguments see ``scored``.
 
     The scales of the Student-t densities without and with effects are told by the training runs: a model is
     also judged by the spread that it predicts. Where limbs misfire the density is a mixture.
@@ -217,33 +202,13 @@ def log_score_gain(
         mixed = found.misfires.scores(swims, rows)
         scores = [[plain, mixture] for (plain, _), mixture in zip(scores, mixed, strict=True)]
     runs = [with_effects - without for without, with_effects in scores if len(without)]
-    if not runs:
-        return Gain(math.nan, math.nan, math.nan)
-    value = float(np.concatenate(runs).mean())
-    low, high = mean_interval(runs, np.random.default_rng(0))
+    value = low = high = math.nan
+    if runs:
+        value = float(np.concatenate(runs).mean())
+        low, high = mean_interval(runs, np.random.default_rng(0))
     wider = math.sqrt(replicate_count(swims))  # replicates with the same noise count once
-    return Gain(value, value - wider * (value - low), value + wider * (high - value))
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A parameter: value, interval, unit."""
-
-    name: str
-    value: float
-    low: float
-    high: float
-    unit: str
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Low and high."""
-        return self.low, self.high
-
-    def contains(self, value: float, times: float = 1.0) -> bool:
-        """Whether the interval contains a value, or one ``times`` as wide does."""
-        more = 0.5 * (times - 1.0) * (self.high - self.low)
-        return self.low - more <= value <= self.high + more
+    ends = value - wider * (value - low), value + wider * (high - value)
+    return Interval("log score gain", value, *ends, "nats per period")
 
 
 def discretisation_shift(fitted: Fitted, data: Data) -> Float64:
@@ -300,7 +265,7 @@ class Scored:
     Attributes:
         before, after: without and with effects, predicted by the models alone.
         noise_floor: see ``noise_floor``.
-        gain: gain of the log score; None without effects.
+        gain: gain of the log score, see ``log_score_gain``; None without effects.
         repeatability: see ``repeatability``.
         by_chance: strokes fail by chance: errors may stay about the repeatability.
     """
@@ -308,8 +273,8 @@ class Scored:
     before: PredictionError
     after: PredictionError
     noise_floor: PredictionError
-    gain: Gain | None = None
-    repeatability: PredictionError = PredictionError()  # noqa: RUF009 - frozen
+    gain: Interval | None = None
+    repeatability: PredictionError = field(default_factory=PredictionError)
     by_chance: bool = False
 
     @property
@@ -337,11 +302,12 @@ class Scored:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command."""
+        gain = self.gain
         return {
             "before": self.before.as_json(),
             "after": self.after.as_json(),
             "noise_floor": self.noise_floor.as_json(),
-            "log_score_gain": None if self.gain is None else self.gain.as_json(),
+            "log_score_gain": gain and {"value": gain.value, "interval": list(gain.interval)},
             "repeatability": self.repeatability.as_json(),
         }
 

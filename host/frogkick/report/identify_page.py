@@ -11,7 +11,8 @@ from frogkick.identification.fit import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.refine import RELEASE_PENALTY
 from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN, CandidateScore
-from frogkick.identification.verdict import FOUND, FOUND_LAW, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Gain
+from frogkick.identification.terms import Interval
+from frogkick.identification.verdict import FOUND, FOUND_LAW, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,
@@ -66,7 +67,7 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
     write_page(target, TITLE, lead, sections)
 
 
-def _gain_words(gain: Gain | None) -> str:
+def _gain_words(gain: Interval | None) -> str:
     if gain is None:
         return ""
     return (

@@ -9,7 +9,8 @@ from typing import Any
 
 from frogkick.effects import Parameter
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.verdict import FAR, FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED, Interval
+from frogkick.identification.terms import Interval
+from frogkick.identification.verdict import FAR, FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED
 from frogkick_studies.planted import LAWS, NULL, OUTSIDE, Kind
 from frogkick_studies.planted_laws import Table, rights
 

@@ -1,24 +1,33 @@
-"""Tables in a retune: the interface that makes them, and their error on held-out periods."""
+"""Tables in a retune: how they are made, their error on held-out periods, and how they follow paths."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
 from frogkick.core.poses import PredictionError, compose, wrap_angle
-from frogkick.core.progress import Tell
-from frogkick.effects import Effect, Fix
+from frogkick.core.progress import Stage
+from frogkick.effects import Effect, Fix, World, effects_of
+from frogkick.front.places import built_firmware
 from frogkick.identification.horizons import HORIZONS, Horizon
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
+from frogkick.library import build_library, fit_table
+from frogkick.library.fitting import looked_up
+from frogkick.paths import SHAPES
 from frogkick.robot import Robot
+from frogkick.runs.trial import trials
+from frogkick.tables.image import open_image, read_image
+from frogkick_codegen.firmware import build
+
+LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
+"""The paths that tables are tried on in closed loop, and how often each."""
 
 EARLIER = 8
 """Number of earlier actions that a look-up takes."""
@@ -30,9 +39,6 @@ PERIOD_OFF = 0.1
 """A run's period may differ by this share from the one that tables are made for."""
 
 _RNG = np.random.default_rng(0)
-
-Stage = Callable[[str], AbstractContextManager[Tell]]
-"""Begins a stage of the work by its title."""
 
 
 @dataclass(frozen=True)
@@ -72,26 +78,58 @@ class Lost:
         }
 
 
-class Tools(Protocol):
-    """What a retune needs besides identification: library, tables, simulated pool and firmware."""
+@dataclass(frozen=True)
+class TableMaker:
+    """Makes tables from libraries of ``count`` states, tries them and builds firmware with them."""
+
+    count: int
+    seed: int
+    workers: int
 
     def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
         """Simulate a robot's library into a file, and make the table image of it."""
+        with stage(f"library of {self.count} states") as progress:
+            made = build_library(
+                robot, self.count, self.seed, self.workers, library, progress, "visited", record_s=0.0
+            )
+        with stage("tables tried") as progress:
+            return fit_table(made, "affine", progress=progress).image
 
     def states(self, image: bytes) -> int:
         """How many states a table image has."""
+        return len(open_image(image).states)
 
     def looked_up(self, image: bytes, velocity_body: Float64, previous: Int64) -> Float64:
         """(n, a, 6) transitions in a table image from (n, 3) velocities after (n, EARLIER) actions."""
+        return looked_up(open_image(image), velocity_body, previous)
 
     def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
         """Follow a fixed set of paths with a table file, in a pool with the robot's effects."""
+        with built_firmware("native", tables, robot) as built:
+            runs = trials(
+                built.image,
+                read_image(tables),
+                robot,
+                lambda: World(effects_of(robot)),
+                LOOP_PATHS,
+                LOOP_SEEDS,
+                progress=progress,
+            )
+        numbers = [run.tracking for run in runs]
+        return Tracked(
+            float(np.mean([each.mean_distance_m for each in numbers])),
+            float(np.mean([each.progress_mps for each in numbers])),
+            sum(each.completed for each in numbers),
+            len(numbers),
+        )
 
     def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
         """Build the robot's image around a table file into a folder; its sizes."""
+        built = build("bench", tables, robot, out)
+        return {"image": built.image.name, "flash_bytes": built.flash_bytes, "ram_bytes": built.ram_bytes}
 
 
-def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) -> PredictionError:
+def table_error(tools: TableMaker, image: bytes, outcome: Outcome, periods: int = 1) -> PredictionError:
     """Error of a table some periods ahead on the test runs, from the start of each period.
 
     Old and new tables start from the same states, the best that are known: those of the fitted rods. Their
@@ -106,7 +144,7 @@ def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) 
     return PredictionError.of(np.concatenate(gaps))
 
 
-def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> list[Horizon]:
+def table_horizons(tools: TableMaker, old: bytes, new: bytes, outcome: Outcome) -> list[Horizon]:
     """Errors of two tables by horizon, without horizons that no run is long enough for."""
     every = [
         Horizon(periods, *(table_error(tools, image, outcome, periods) for image in (old, new)))
@@ -116,7 +154,7 @@ def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> li
 
 
 def _gaps(
-    tools: Tools, image: bytes, swim: Segments, rollout: Rollout, effects: Sequence[Effect], periods: int
+    tools: TableMaker, image: bytes, swim: Segments, rollout: Rollout, effects: Sequence[Effect], periods: int
 ) -> Float64:
     """(m, 3) measured minus looked-up pose so many periods after each start; NaN if unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)

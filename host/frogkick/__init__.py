@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 from frogkick.core.version import VERSION as __version__
 
 _FROM = {
-    "der": ("Trajectory",),
     "effects": ("World",),
+    "effects.swims": ("Trajectory",),
     "core.errors": ("CheckError", "ConvergenceError", "FrogkickError", "InputError"),
     "front.building": ("Firmware", "build_firmware", "emit_c"),
     "front.gaits": ("Swept", "Validated", "sweep", "validate"),
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from frogkick import effects as effects
     from frogkick import paths as paths
     from frogkick.core.errors import CheckError, ConvergenceError, FrogkickError, InputError
-    from frogkick.der import Trajectory
     from frogkick.effects import World
+    from frogkick.effects.swims import Trajectory
     from frogkick.front.building import Firmware, build_firmware, emit_c
     from frogkick.front.gaits import Swept, Validated, sweep, validate
     from frogkick.front.identifying import Identification, identify

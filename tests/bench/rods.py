@@ -20,7 +20,9 @@ import numpy as np
 from tests.bench.elastica_rod import elastica_rod, frogkick_rod
 from tests.der.single import simulate_action
 
-from frogkick.der import Rods, prepare, program_of, simulate_many
+from frogkick.der import Rods, prepare
+from frogkick.effects.acting import program_of
+from frogkick.effects.swims import simulate_many
 from frogkick.library import build_library
 from frogkick.robot import Robot, load_robot
 

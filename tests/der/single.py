@@ -1,4 +1,4 @@
-"""One simulation at a time, for tests: a gait, or an action."""
+"""One simulation at a time, for tests: a gait, an action, or a robot to fire and to look at."""
 
 from __future__ import annotations
 
@@ -7,17 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from frogkick.core.errors import ConvergenceError
-from frogkick.der import (
-    STEP_S,
-    Failure,
-    Gait,
-    Rods,
-    Trajectory,
-    prepare,
-    program_of,
-    simulate_gaits,
-    simulate_many,
-)
+from frogkick.der import STEP_S, Batch, Failure, Rods, Water, prepare
+from frogkick.effects.acting import Acting, program_of
+from frogkick.effects.swims import Gait, Trajectory, simulate_gaits, simulate_many
 from frogkick.robot import Action, Robot
 
 
@@ -90,3 +82,58 @@ def simulate_action(
     dx, dy, dheading = motions.pose_world[0, -1].tolist()
     vx, vy, omega = motions.velocity_body[0, -1].tolist()
     return dx, dy, dheading, vx, vy, omega
+
+
+class Swimmer:
+    """One robot in a batch of its own, in arrays without lanes."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        pose_world: Sequence[float] = (0.0, 0.0, 0.0),
+        velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        time_s: float = 0.0,
+        step_s: float = STEP_S,
+        rods: Rods | None = None,
+    ) -> None:
+        self.rods = prepare(robot) if rods is None else rods
+        pose, velocity = (np.array([each], dtype=np.float64) for each in (pose_world, velocity_body))
+        self.batch = Batch([self.rods], pose, velocity, time_s, step_s, 1)
+        self.mass_kg, self.inertia_kg_m2 = self.batch.mass_kg, self.batch.inertia_kg_m2
+
+    @property
+    def time_s(self) -> float:
+        return float(self.batch.time_s[0])
+
+    def fire(self, limb: int, time_s: float, *, gain: float = 1.0) -> None:
+        self.batch.fire(0, limb, time_s, gain=gain)
+
+    def fire_mask(self, mask: int, time_s: float) -> None:
+        for limb in range(self.batch.limbs):
+            if mask >> limb & 1:
+                self.fire(limb, time_s)
+
+    def set_water(self, water: Water) -> None:
+        self.batch.set_water(0, water)
+
+    def advance(self, until_s: float, acting: Acting | None = None) -> None:
+        """Advance it, with effects if they are given."""
+        if acting is None:
+            self.batch.advance(until_s)
+        else:
+            acting.advance(self.batch, until_s)
+        for failure in self.batch.failures.values():
+            raise ConvergenceError(f"rods of {self.rods.robot.id!r} {failure}")
+
+    def pose_world(self) -> np.ndarray:
+        return self.batch.pose_world()[0]
+
+    def velocity_body(self) -> np.ndarray:
+        return self.batch.velocity_body()[0]
+
+    def nodes_world(self) -> np.ndarray:
+        return self.batch.nodes_world()[0]
+
+    def node_velocities_world(self) -> np.ndarray:
+        return self.batch.node_velocities_world()[0]

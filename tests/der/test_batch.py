@@ -5,20 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.conftest import count
-from tests.der.single import simulate_action, simulate_gait
+from tests.der.single import Swimmer, simulate_action, simulate_gait
 
 from frogkick.core.errors import InputError
-from frogkick.der import (
-    Batch,
-    Gait,
-    Motions,
-    Swimmer,
-    Trajectory,
-    prepare,
-    program_of,
-    simulate_gaits,
-    simulate_many,
-)
+from frogkick.der import Batch, prepare
+from frogkick.effects.acting import program_of
+from frogkick.effects.swims import Gait, Motions, Trajectory, simulate_gaits, simulate_many
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")

@@ -16,7 +16,9 @@ from tests.conftest import FULL, REPOSITORY, count, from_ci
 
 RODS = """
 import numpy as np
-from frogkick.der import prepare, program_of, simulate_many
+from frogkick.der import prepare
+from frogkick.effects.acting import program_of
+from frogkick.effects.swims import simulate_many
 from frogkick.robot import load_robot
 rods = prepare(load_robot("frog2022"))
 robot = rods.robot

@@ -11,12 +11,13 @@ import pytest
 from tests.conftest import count, from_ci
 from tests.der.energy import bending_energy, drag_power, kinetic_energy, stretching_energy
 from tests.der.rig import STILL, straight_rod
-from tests.der.single import simulate_action
+from tests.der.single import Swimmer, simulate_action
 
-from frogkick.der import STEP_S, Batch, Gait, Rods, Swimmer, Trajectory, prepare, simulate_gaits
+from frogkick.der import STEP_S, Batch, Rods, prepare
 from frogkick.der.mesh import Mesh
 from frogkick.der.schedule import COARSEST_AT_REST
 from frogkick.der.solve import SymbolicFactorisation
+from frogkick.effects.swims import Gait, Trajectory, simulate_gaits
 from frogkick.robot import Robot, load_robot
 
 ROBOT = load_robot("frog2022")

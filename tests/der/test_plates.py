@@ -10,9 +10,10 @@ import pytest
 from tests.conftest import from_ci
 from tests.der.energy import bending_energy, kinetic_energy, stretching_energy
 from tests.der.rig import straight_rod
+from tests.der.single import Swimmer
 from tests.der.test_physics import alone
 
-from frogkick.der import STEP_S, Batch, Swimmer, prepare
+from frogkick.der import STEP_S, Batch, prepare
 from frogkick.der.lanes import lane_zeros
 from frogkick.der.mesh import Mesh
 from frogkick.der.plates import add_plate_forces, add_plate_inertia

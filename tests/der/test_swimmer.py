@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from tests.conftest import count
 from tests.der.energy import bending_energy, stretching_energy
-from tests.der.single import simulate_action, simulate_gait
+from tests.der.single import Swimmer, simulate_action, simulate_gait
 
 from frogkick.core.errors import ConvergenceError, InputError
-from frogkick.der import Rods, Swimmer, prepare, simulate_actions
+from frogkick.der import Rods, prepare
+from frogkick.effects.swims import simulate_actions
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
@@ -119,17 +120,6 @@ def test_a_limb_fires_at_its_time_whatever_the_calls_between() -> None:
 
 
 def test_what_cannot_be_simulated_is_refused() -> None:
-    swimmer = Swimmer(ROBOT, rods=RODS, time_s=1.0)
-    with pytest.raises(InputError, match="limb 4"):
-        swimmer.fire(4, 2.0)
-    with pytest.raises(InputError, match="fire now or later"):
-        swimmer.fire(0, 0.5)
-    with pytest.raises(InputError, match="time goes forward"):
-        swimmer.advance(0.5)
-    with pytest.raises(InputError, match="finite"):
-        Swimmer(ROBOT, (0.0, math.nan, 0.0), rods=RODS)
-    with pytest.raises(InputError, match="positive"):
-        Swimmer(ROBOT, step_s=0.0, rods=RODS)
     with pytest.raises(InputError, match="phase"):
         simulate_gait(ROBOT, 10.0, 0.7, 1.0, 1)
     with pytest.raises(InputError, match="cycles"):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.conftest import count
+from tests.der.single import Swimmer
 
-from frogkick.der import STILL, Batch, Swimmer, Water, prepare
+from frogkick.der import STILL, Batch, Water, prepare
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")

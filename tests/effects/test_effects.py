@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.der.single import Swimmer
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.der import Swimmer, prepare
+from frogkick.der import prepare
 from frogkick.effects import (
     BUILT_IN,
     Acting,
@@ -44,10 +45,10 @@ def swim(
 ) -> Swimmer:
     robot = changed_robot(ROBOT, effects)
     swimmer = Swimmer(robot, pose_world=pose, rods=prepare(robot))
-    acting = Acting(effects, robot, np.random.default_rng(1))
+    acting = Acting(effects, robot, [np.random.default_rng(1)])
     for limb in range(4):
-        acting.fire(swimmer, limb, 0.0 if limb < 2 else 0.08)
-    acting.advance(swimmer, seconds)
+        acting.fire(swimmer.batch, 0, limb, 0.0 if limb < 2 else 0.08)
+    swimmer.advance(seconds, acting)
     return swimmer
 
 
@@ -127,7 +128,7 @@ def test_resistance_slows_and_a_wrench_turns() -> None:
     assert swim([effect("mass_scale", frame=1.5)]).pose_world()[0] < 0.95 * plain[0]
     assert swim([effect("steady_wrench", torque_nm=1e-4)]).pose_world()[2] > 0.05
     spun = Swimmer(ROBOT, velocity_body=(0.0, 0.0, 1.0))
-    Acting([effect("yaw_drag", linear_nms=1e-3)], ROBOT, RNG).advance(spun, 0.3)
+    spun.advance(0.3, Acting([effect("yaw_drag", linear_nms=1e-3)], ROBOT, [RNG]))
     inertia, free = spun.inertia_kg_m2, Swimmer(ROBOT, velocity_body=(0.0, 0.0, 1.0))
     free.advance(0.3)
     ratio = spun.velocity_body()[2] / free.velocity_body()[2]
@@ -162,12 +163,12 @@ def test_drifting_turns_a_body_by_munk_s_moment() -> None:
         wrench = moment.wrench(0.0, Body(0.0, (0.0, 0.0, 0.0), tuple(velocity)))
         assert abs(wrench[0]) > 0.0 and np.dot(wrench, velocity) == pytest.approx(0.0, abs=1e-12), "no work"
     drifting = Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.0))
-    Acting([moment], ROBOT, RNG).advance(drifting, 0.5)
+    drifting.advance(0.5, Acting([moment], ROBOT, [RNG]))
     plain = Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.0))
     plain.advance(0.5)
     assert drifting.velocity_body()[2] - plain.velocity_body()[2] > 0.01
     turning, straight = (Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.2)) for _ in range(2))
-    Acting([moment], ROBOT, RNG).advance(turning, 0.5)
+    turning.advance(0.5, Acting([moment], ROBOT, [RNG]))
     straight.advance(0.5)
     assert straight.velocity_body()[0] - turning.velocity_body()[0] > 5e-4, "slowed in a turn"
 
@@ -177,11 +178,11 @@ def test_legs_are_short_enough() -> None:
     effects = [effect("vortex", circulation_m2ps=0.01, x_m=0.1), effect("yaw_drag", quadratic_nms2=1e-3)]
     robot, ends = changed_robot(ROBOT, effects), []
     for legs in (1, 4):
-        swimmer, acting = Swimmer(robot), Acting(effects, robot, np.random.default_rng(1))
+        swimmer, acting = Swimmer(robot), Acting(effects, robot, [np.random.default_rng(1)])
         for limb in (0, 3):
-            acting.fire(swimmer, limb, 0.0)
+            acting.fire(swimmer.batch, 0, limb, 0.0)
         for leg in range(100 * legs):
-            acting.advance(swimmer, (leg + 1) * 0.02 / legs)
+            swimmer.advance((leg + 1) * 0.02 / legs, acting)
         ends.append(swimmer.pose_world())
     assert np.abs(ends[0][:2] - ends[1][:2]).max() < 5e-4
     assert abs(ends[0][2] - ends[1][2]) < math.radians(0.1)
@@ -217,7 +218,7 @@ def test_a_user_s_own_file_works_where_a_name_does(tmp_path: Path) -> None:
     )
     whirl, plain, wear = read_world(tmp_path / "world.toml").effects
     assert (whirl.title, plain.title, wear.title) == ("Whirl", "Plain", "limb_wear")
-    acting = Acting([whirl, plain, wear], ROBOT, np.random.default_rng(3))
+    acting = Acting([whirl, plain, wear], ROBOT, [np.random.default_rng(3)])
     kept = sum(acting.fix(Fix(0.0, 0.1, 0.0, 0.0, 0.0)) is not None for _ in range(1000))
     assert 550 < kept < 650
     weak, strong = swim([plain]), swim([])

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.conftest import from_ci, some
+from tests.der.single import Swimmer
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.der import Swimmer, prepare
+from frogkick.der import prepare
 from frogkick.effects import Acting, Body, Effect, Fix, History, Law, Stroke, make_effect, read_world
 from frogkick.effects.formula import FUNCTIONS, ONE, parse, unit_of
 from frogkick.front.tables import default_tables
@@ -167,10 +168,10 @@ def swim(
     for effect in effects:
         effect.check(ROBOT)
     swimmer = Swimmer(ROBOT, pose_world=pose, rods=prepare(ROBOT))
-    acting = Acting(effects, ROBOT, np.random.default_rng(1))
+    acting = Acting(effects, ROBOT, [np.random.default_rng(1)])
     for limb in range(3):  # it turns
-        acting.fire(swimmer, limb, 0.0 if limb < 2 else 0.08)
-    acting.advance(swimmer, seconds)
+        acting.fire(swimmer.batch, 0, limb, 0.0 if limb < 2 else 0.08)
+    swimmer.advance(seconds, acting)
     return [float(value) for value in swimmer.pose_world()]
 
 

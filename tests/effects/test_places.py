@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.der.single import Swimmer
 
 from frogkick.core.errors import InputError
-from frogkick.der import Swimmer, prepare
+from frogkick.der import prepare
 from frogkick.effects import Acting, Body, Effect, Fix, World, changed_robot, make_effect, make_effects
 from frogkick.effects.body import gyration_m
 from frogkick.effects.water import REACH_M
@@ -154,11 +155,11 @@ def test_a_wall_stops_a_robot_that_swims_at_it() -> None:
     for hardness in (0.0, 0.75):
         made = effect("wall", at_m=0.12, hardness=hardness)
         robot = changed_robot(ROBOT, [made])
-        swimmer, acting = Swimmer(robot), Acting([made], robot, np.random.default_rng(1))
+        swimmer, acting = Swimmer(robot), Acting([made], robot, [np.random.default_rng(1)])
         for period in range(4):
             for limb in range(4):
-                acting.fire(swimmer, limb, 1.4 * period + (0.0 if limb < 2 else 0.08))
-            acting.advance(swimmer, 1.4 * (period + 1))
+                acting.fire(swimmer.batch, 0, limb, 1.4 * period + (0.0 if limb < 2 else 0.08))
+            swimmer.advance(1.4 * (period + 1), acting)
         ends[hardness] = swimmer.pose_world()
     assert ends[0.0][0] > 0.13
     assert 0.04 < ends[0.75][0] < 0.12 - HALF_M + 0.01

@@ -19,7 +19,7 @@ from tests.der.single import simulate_gait
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.core.poses import wrap_angle
-from frogkick.der import simulate_actions
+from frogkick.effects.swims import simulate_actions
 from frogkick.paths import Path as SwimPath
 from frogkick.report import animation, style
 from frogkick.report.animation import actions_swim, film, gait_swim, run_swim, write_animation

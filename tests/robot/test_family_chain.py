@@ -13,7 +13,8 @@ from tests.conftest import from_ci
 from tests.der.single import simulate_action
 
 from frogkick.cli.main import run_command
-from frogkick.der import Rods, prepare, simulate_actions
+from frogkick.der import Rods, prepare
+from frogkick.effects.swims import simulate_actions
 from frogkick.robot import Action, Robot, load_robot
 from frogkick.tables.image import read_image
 from frogkick_codegen.toolchain import FLAGS, zig

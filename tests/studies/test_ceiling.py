@@ -15,8 +15,8 @@ from tests.identification import made
 from frogkick.cli.main import run_command
 from frogkick.der import STEP_S, WIDTH, Batch
 from frogkick.effects import rods_of
+from frogkick.effects.acting import lane_effects, program_of
 from frogkick.library import Library, fit_table, quantise, sample_library, write_library
-from frogkick.library.transitions import fire_action, lane_effects
 from frogkick.paths import shape
 from frogkick.planner.lookup import arrays_of
 from frogkick.planner.plan import Cost, PlanConfig, config_of, plan
@@ -70,7 +70,7 @@ def test_the_rods_tell_to_the_last_bit_what_sequences_lead_to() -> None:
     def swim(actions: list[int]) -> np.ndarray:
         start_s, before = float(batch.time_s[0]), batch.pose_world()
         for lane, action in enumerate(actions):
-            fire_action(robot, batch, acting, lane, action, start_s)
+            acting.fire_all(batch, lane, program_of(robot, robot.actions[action], start_s))
         acting.advance(batch, start_s + period)
         moved = batch.pose_world() - before
         turn = np.arctan2(np.sin(moved[:, 2]), np.cos(moved[:, 2]))

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from frogkick.cli.app import app
 from frogkick.core.errors import InputError
-from frogkick.der import Gait
 from frogkick.effects import BUILT_IN, changed_robot, make_effect, rods_of
+from frogkick.effects.swims import Gait
 from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, swim_gaits
 from frogkick_studies import fits

@@ -12,7 +12,8 @@ from tests.validation.paper_data import write_swim
 from typer.testing import CliRunner
 
 from frogkick.cli.app import app
-from frogkick.der import Gait, prepare
+from frogkick.der import prepare
+from frogkick.effects.swims import Gait
 from frogkick.validation.gaits import GaitSwim, swim_gaits
 from frogkick_studies.wake import PHASES, kept
 

@@ -13,9 +13,9 @@ from tests.validation.paper_data import write_swim
 from typer.testing import CliRunner
 
 from frogkick.cli.app import app
-from frogkick.der import Gait
 from frogkick.effects import rods_of
 from frogkick.effects.body import frame_mass_kg
+from frogkick.effects.swims import Gait
 from frogkick.identification.calibrated import calibrated_starts
 from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, swim_gaits

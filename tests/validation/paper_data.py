@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
-from frogkick.der import Gait, prepare
+from frogkick.der import prepare
+from frogkick.effects.swims import Gait
 from frogkick.robot import Robot, load_robot
 from frogkick.validation.gaits import GaitSwim, swim_gaits
 

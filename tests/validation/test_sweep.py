@@ -14,7 +14,8 @@ from tests.identification.made import robot
 
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
-from frogkick.der import Gait, prepare
+from frogkick.der import prepare
+from frogkick.effects.swims import Gait
 from frogkick.report.sweep_page import write_sweep_report
 from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, cost_of_transport, swim_chunks, swim_gaits

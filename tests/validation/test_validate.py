@@ -15,7 +15,7 @@ from tests.validation.paper_data import GAIT, model_swim, write_simulation, writ
 
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
-from frogkick.der import Gait
+from frogkick.effects.swims import Gait
 from frogkick.robot import load_robot
 from frogkick.validation import matched
 from frogkick.validation.measured import Case, SteadySpeed

@@ -10,7 +10,7 @@ from scipy.io import savemat
 from tests.validation.paper_data import write_swim
 
 from frogkick.core.errors import InputError
-from frogkick.der import Gait
+from frogkick.effects.swims import Gait
 from frogkick.robot import load_robot
 from frogkick.validation.measured import (
     find_cases,

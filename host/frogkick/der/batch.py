@@ -15,7 +15,7 @@ from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, Rods
-from frogkick.der.schedule import Schedule, Stroke
+from frogkick.der.schedule import STEP_S, Schedule, Stroke
 from frogkick.der.solve import SymbolicFactorisation
 from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, Nodes, workspace_of
 from frogkick.der.water import STILL, WATER, Water
@@ -136,8 +136,8 @@ class Batch:
         rods: Sequence[Rods],
         pose_world: Float64,
         velocity_body: Float64,
-        time_s: float,
-        step_s: float,
+        time_s: float = 0.0,
+        step_s: float = STEP_S,
         width: int = WIDTH,
         longest_s: float = math.inf,
     ) -> None:

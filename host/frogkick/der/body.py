@@ -13,6 +13,7 @@ from numba import njit
 
 from frogkick.core.arrays import Float64
 from frogkick.core.compiled import INNER, kept
+from frogkick.core.poses import body_from_world
 from frogkick.der.lanes import SimdArray, get, put
 from frogkick.der.mesh import Mesh
 
@@ -110,3 +111,43 @@ def place_nodes(mesh: Mesh, heading_rad: Float64, velocity_body: Float64) -> tup
     x = np.stack([c * rest_x - s * rest_y, s * rest_x + c * rest_y], axis=1)
     v = np.stack([c * forward - s * left - omega * x[:, 1], s * forward + c * left + omega * x[:, 0]], axis=1)
     return x, v
+
+
+def cubic(
+    p: Float64, q: Float64, v: Float64, w: Float64, length_s: Float64, share: Float64
+) -> tuple[Float64, Float64]:
+    """Return value and slope of the cubic Hermite interpolant from p with slope v to q with slope w.
+
+    Args:
+        p, q: (k, d) values at both ends; v, w: (k, d) slopes there, per second.
+        length_s: (k, 1) time between the ends; share: (k, 1) place in between, 0 to 1.
+    """
+    bend = 3.0 * (q - p) - length_s * (2.0 * v + w)
+    twist = length_s * (v + w) - 2.0 * (q - p)
+    value = p + share * (length_s * v + share * (bend + share * twist))
+    return value, v + share * (2.0 * bend + share * (3.0 * twist)) / length_s
+
+
+def interpolate(ends_s: Float64, rows: Float64, time_s: Float64) -> tuple[Float64, Float64]:
+    """Interpolate poses and body velocities between the ends of steps (cubic Hermite).
+
+    Args:
+        ends_s: (k,) increasing times.
+        rows: (k, MOTION) of ``body_motion`` at these.
+        time_s: (s,) times within.
+
+    Returns:
+        (s, 3) poses, heading continuous, and (s, 3) velocities, body frame. At the end of a step they are
+            exactly those of its row.
+    """
+    pose = rows[:, :3].copy()
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    rate = body_from_world(-pose[:, 2], rows[:, 3:6])
+    left = np.clip(np.searchsorted(ends_s, time_s, side="right") - 1, 0, len(ends_s) - 2)
+    length = (ends_s[left + 1] - ends_s[left])[:, None]
+    u = (time_s[:, None] - ends_s[left, None]) / length
+    at, slope = cubic(pose[left], pose[left + 1], rate[left], rate[left + 1], length, u)
+    velocity = body_from_world(at[:, 2], slope)
+    for end, row in ((u[:, 0] == 0.0, left), (u[:, 0] == 1.0, left + 1)):
+        at[end], velocity[end] = pose[row[end]], rows[row[end], 3:6]
+    return at, velocity

@@ -1,7 +1,7 @@
 """Terms that a model may lack: physical effects with named parameters that have bounds and units."""
 
 from frogkick.core.poses import Fix
-from frogkick.effects.acting import Acting, ActingLanes, body_at, body_effects, changed_robot, rods_of
+from frogkick.effects.acting import Acting, body_at, body_effects, changed_robot, rods_of
 from frogkick.effects.base import Body, Effect, History, Parameter, Stroke, parameter
 from frogkick.effects.body import (
     CentreMass,
@@ -28,11 +28,10 @@ from frogkick.effects.water import (
 )
 
 __all__ = [
-    "BUILT_IN", "Acting", "ActingLanes", "BatterySag", "Body", "CameraScale", "CentreMass",
-    "DragScale", "Effect", "Fix", "FixLatency", "GroupGain", "GroupLoss", "History", "Hull", "Law",
-    "LimbFatigue", "LimbMemory", "LimbMount", "LimbPlate", "LimbWear", "MassScale", "MunkMoment",
-    "OffCentreMass", "Parameter", "ShearCurrent", "SteadyCurrent", "SteadyWrench", "Stroke",
-    "TagOffset", "Vortex", "Wall", "WarmUp", "World", "YawDrag", "body_at", "body_effects",
-    "changed_robot", "effects_of", "make_effect", "make_effects", "parameter", "read_world",
-    "rods_of",
+    "BUILT_IN", "Acting", "BatterySag", "Body", "CameraScale", "CentreMass", "DragScale", "Effect", "Fix",
+    "FixLatency", "GroupGain", "GroupLoss", "History", "Hull", "Law", "LimbFatigue", "LimbMemory",
+    "LimbMount", "LimbPlate", "LimbWear", "MassScale", "MunkMoment", "OffCentreMass", "Parameter",
+    "ShearCurrent", "SteadyCurrent", "SteadyWrench", "Stroke", "TagOffset", "Vortex", "Wall", "WarmUp",
+    "World", "YawDrag", "body_at", "body_effects", "changed_robot", "effects_of", "make_effect",
+    "make_effects", "parameter", "read_world", "rods_of",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Effects that act on simulated swimmers, for pool, library and identification."""
+"""Effects that act on the robots of a batch, for pool, library and identification."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix, rotate
-from frogkick.der import STILL, Batch, Rods, Swimmer, Water, prepare
+from frogkick.der import STILL, Batch, Rods, Water, prepare
 from frogkick.effects.base import Body, Effect, History, Stroke
 from frogkick.effects.law import Law
 from frogkick.effects.registry import effects_of
-from frogkick.robot import Robot
+from frogkick.robot import Action, Robot
 
 LEG_S = 0.02
 """Zero-order hold: flows and wrenches are constant for this time, and are then evaluated again."""
@@ -58,8 +58,8 @@ def body_effects(robot: Robot) -> tuple[Effect, ...]:
     )
 
 
-class ActingLanes:
-    """Effects on the robots of several lanes, each with its own history and random generator."""
+class Acting:
+    """Effects on the robots of a batch's lanes, each with its own history and random generator."""
 
     def __init__(
         self,
@@ -85,11 +85,11 @@ class ActingLanes:
         self.leg_s = leg_s if self._flows or self._wrenches else math.inf
         self.asks_body = any(effect.asks_body for effect in effects)
 
-    def copy(self) -> ActingLanes:
+    def copy(self) -> Acting:
         """Return an independent copy: effects and histories."""
         return self.pick(range(len(self.histories)))
 
-    def pick(self, lanes: Sequence[int]) -> ActingLanes:
+    def pick(self, lanes: Sequence[int]) -> Acting:
         """Return an independent copy of some lanes; see Batch.pick."""
         twin = copy.copy(self)
         twin.histories = [History(list(self.histories[lane].strokes)) for lane in lanes]
@@ -118,7 +118,11 @@ class ActingLanes:
         return stroke
 
     def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
-        """Fire a limb of a lane's robot, with the effects."""
+        """Start a stroke of a lane's limb, with the effects.
+
+        Raises:
+            InputError: see ``stroke``.
+        """
         if not self.effects:
             batch.fire(lane, limb, time_s)
             return
@@ -127,6 +131,13 @@ class ActingLanes:
         stroke = self.stroke(lane, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         batch.fire(lane, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
+
+    def fire_all(self, batch: Batch, lane: int, program: Program) -> None:
+        """Start all strokes of a lane's program, in their order."""
+        for time_s, mask in program:
+            for limb in range(batch.limbs):
+                if mask >> limb & 1:
+                    self.fire(batch, lane, limb, time_s)
 
     def advance(
         self, batch: Batch, until_s: float | Float64, trace: bool = False
@@ -155,18 +166,27 @@ class ActingLanes:
         legs = [[leg[lane] for leg in traces] for lane in range(batch.lanes)]
         return [(np.concatenate([a for a, _ in each]), np.concatenate([b for _, b in each])) for each in legs]
 
-    def water(self, body: Batch | Swimmer, time_s: float, pose: Float64, velocity: Float64) -> Water:
+    def fix(self, fix: Fix) -> Fix | None:
+        """Return a fix of the first lane's robot as the effects change it; None if one of them drops it."""
+        seen: Fix | None = fix
+        for effect in self.effects:
+            if seen is None:
+                return None
+            seen = effect.fix(seen, self._rngs[0])
+        return seen
+
+    def water(self, batch: Batch, time_s: float, pose: Float64, velocity: Float64) -> Water:
         """Return flow and external acceleration around a body, linear in the position.
 
         Args:
-            body: has the mass and the moment of inertia.
+            batch: has the robots' mass and moment of inertia.
             pose: (3,) world frame.
             velocity: (3,) body frame.
         """
         if not (self._flows or self._wrenches):
             return STILL
         centre = np.asarray(pose[:2], dtype=np.float64)
-        flow, push = self._flow(time_s, centre), self._push(time_s, body, pose, velocity)
+        flow, push = self._flow(time_s, centre), self._push(time_s, batch, pose, velocity)
         gradient = ((0.0, 0.0), (0.0, 0.0))
         if not self._uniform:
             slopes = []
@@ -185,7 +205,7 @@ class ActingLanes:
         return x, y
 
     def _push(
-        self, time_s: float, body: Batch | Swimmer, pose: Float64, velocity: Float64
+        self, time_s: float, batch: Batch, pose: Float64, velocity: Float64
     ) -> tuple[float, float, float]:
         """Return accelerations, world frame: m/s^2, m/s^2, rad/s^2."""
         if not self._wrenches:
@@ -196,50 +216,22 @@ class ActingLanes:
             along, aside, turn = _numbers(effect, "wrench", effect.wrench(time_s, seen), 3)
             forward, left, torque = forward + along, left + aside, torque + turn
         force_x, force_y = rotate(heading, forward, left)
-        return force_x / body.mass_kg, force_y / body.mass_kg, torque / body.inertia_kg_m2
+        return force_x / batch.mass_kg, force_y / batch.mass_kg, torque / batch.inertia_kg_m2
 
 
-class Acting:
-    """Effects on one swimmer and on the fixes of its camera."""
+def lane_effects(robot: Robot, lanes: int, extra: Sequence[Effect] = ()) -> Acting:
+    """Return ``body_effects`` of a robot, and ``extra``, in lanes; random effects draw the same in each."""
+    return Acting((*body_effects(robot), *extra), robot, [np.random.default_rng(0) for _ in range(lanes)])
 
-    def __init__(self, effects: Sequence[Effect], robot: Robot, rng: np.random.Generator) -> None:
-        """Prepare effects that fit ``robot``; ``rng`` is for random effects."""
-        self._lane, self._rng = ActingLanes(effects, robot, [rng]), rng
-        self.effects = self._lane.effects
 
-    def fire(self, swimmer: Swimmer, limb: int, time_s: float) -> None:
-        """Fire a limb of the swimmer, with the effects.
+Program = Sequence[tuple[float, int]]
+"""Strokes of one robot: (time_s, limb_mask), bit i = limb i."""
 
-        Raises:
-            InputError: see Swimmer.fire and ActingLanes.stroke.
-        """
-        asks = self._lane.asks_body
-        body = body_at(time_s, swimmer.pose_world(), swimmer.velocity_body()) if asks else None
-        stroke = self._lane.stroke(0, limb, time_s, body)
-        start_s = time_s + stroke.delay_s
-        swimmer.fire(limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
-    def advance(self, swimmer: Swimmer, until_s: float) -> None:
-        """Advance the swimmer; effects that need it are evaluated again every LEG_S.
-
-        Raises:
-            ConvergenceError: the rod simulation failed.
-        """
-        leg_s = self._lane.leg_s
-        while swimmer.time_s < until_s:
-            now_s, pose, velocity = swimmer.time_s, swimmer.pose_world(), swimmer.velocity_body()
-            swimmer.set_water(self._lane.water(swimmer, now_s, pose, velocity))
-            left_s = until_s - now_s
-            swimmer.advance(until_s if left_s <= 1.5 * leg_s else now_s + leg_s)
-
-    def fix(self, fix: Fix) -> Fix | None:
-        """Return a fix that the effects have changed; None if one of them drops it."""
-        seen: Fix | None = fix
-        for effect in self.effects:
-            if seen is None:
-                return None
-            seen = effect.fix(seen, self._rng)
-        return seen
+def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> Program:
+    """Return the strokes of an action that starts at ``start_s``."""
+    strokes = [(start_s, action.first_mask), (start_s + robot.second_delay_s, action.second_mask)]
+    return [(time, mask) for time, mask in strokes if mask]
 
 
 def body_at(time_s: float, pose: Float64, velocity: Float64) -> Body:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from frogkick.core.errors import ConvergenceError, InputError
-from frogkick.der import Failure, Gait, Trajectory, simulate_actions, simulate_gaits
-from frogkick.effects import rods_of
-from frogkick.library.transitions import lane_effects
+from frogkick.der import Failure
+from frogkick.effects.swims import Gait, Trajectory, simulate_actions, simulate_gaits
 from frogkick.robot import Action, Robot, load_robot
 
 SPEED_MAX_MPS = 10.0
@@ -58,7 +56,7 @@ def simulate(
             robot.profile_frequency_hz if frequency_hz is None else frequency_hz,
             phase,
         )
-        (swum,) = simulate_gaits(robot, [gait], cycles, width=1, **_acting(robot))
+        (swum,) = simulate_gaits(robot, [gait], cycles, width=1)
         if isinstance(swum, Failure):
             raise ConvergenceError(f"rods of {robot.id!r} {swum}")
         return swum
@@ -67,7 +65,7 @@ def simulate(
             "actions use the robot's own profile: leave egain_percent and frequency_hz out, or the actions"
         )
     start = _velocity(velocity_body)
-    return simulate_actions(robot, actions_of(robot, actions), start, **_acting(robot))
+    return simulate_actions(robot, actions_of(robot, actions), start)
 
 
 def _velocity(given: Sequence[float]) -> list[float]:
@@ -82,13 +80,6 @@ def _velocity(given: Sequence[float]) -> list[float]:
             "and the turn rate in rad/s"
         )
     return [forward, left, turn]
-
-
-def _acting(robot: Robot) -> dict[str, Any]:
-    """Return the rods of a robot, and the effects of its file that act on a number of lanes."""
-    if not robot.effects:
-        return {}
-    return {"rods": rods_of(robot), "acts": lambda lanes: lane_effects(robot, lanes)}
 
 
 def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:

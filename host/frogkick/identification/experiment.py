@@ -20,7 +20,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.der import WIDTH, Checkpoint
-from frogkick.effects import ActingLanes, Effect, Fix, Law, body_at, changed_robot
+from frogkick.effects import Acting, Effect, Fix, Law, body_at, changed_robot
 from frogkick.identification.fit import CONFOUNDED_MARGIN, Model, residuals_of, rollouts_of
 from frogkick.identification.predict import CLIP_SIGMA, PHASES, interpolated, phase_residuals, replay_batch
 from frogkick.identification.refine import fixed_at
@@ -249,7 +249,7 @@ class RobotState:
     """A simulated robot when a period begins, and (n,), (n, 3) its trajectory just before."""
 
     checkpoint: Checkpoint
-    acting: ActingLanes
+    acting: Acting
     times_s: Float64
     poses: Float64
 
@@ -278,7 +278,7 @@ class Side:
         pose = np.array(shown, dtype=np.float64)
         for _ in range(4):
             pose = pose + shown - self._camera_fix(0.0, pose)[1:]
-        acting = ActingLanes(self.effects, self.robot, [np.random.default_rng(0)], self._leg_s)
+        acting = Acting(self.effects, self.robot, [np.random.default_rng(0)], self._leg_s)
         batch = replay_batch(self.robot, pose[None, :], COARSE_STEP_S)
         return RobotState(batch.save(0), acting, np.array([-_BACK_S, 0.0]), np.array([pose, pose]))
 

@@ -19,7 +19,7 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.poses import body_from_world, rotate, wrap_angle
 from frogkick.der import WIDTH, Batch, Checkpoint, Rods, prepare
-from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
+from frogkick.effects import Acting, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
@@ -96,7 +96,7 @@ def lanes_by_body(lanes: Sequence[Lane]) -> Iterator[tuple[list[int], Robot]]:
     for index, lane in enumerate(lanes):
         robot = changed_robot(lane.robot, lane.effects)
         # Effects that are evaluated in every leg would slow down the other lanes.
-        leg_s = ActingLanes(lane.effects, robot, [], lane.leg_s).leg_s
+        leg_s = Acting(lane.effects, robot, [], lane.leg_s).leg_s
         bodies.setdefault((robot, leg_s, lane.step_s), []).append(index)
     for (robot, *_), indices in bodies.items():
         yield indices, robot
@@ -107,7 +107,7 @@ class LaneState:
     """State of one lane on its way through its run; for its predictions see Rollout."""
 
     lane: Lane
-    acting: ActingLanes
+    acting: Acting
 
     def __post_init__(self) -> None:
         swim = self.lane.swim
@@ -152,7 +152,7 @@ class RolloutBatch:
         self.robot = robot
         # Each lane has its own generator: the result shall not depend on the other lanes.
         self.lane_states = [
-            LaneState(lane, ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s))
+            LaneState(lane, Acting(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s))
             for lane in lanes
         ]
         self.waiting = sorted(range(len(lanes)), key=lambda index: len(lanes[index].swim.segment_times_s))

@@ -23,9 +23,8 @@ from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.files import write_bytes, write_text
 from frogkick.core.poses import body_from_world
 from frogkick.core.version import VERSION
-from frogkick.der import Rods
+from frogkick.der import Rods, cubic
 from frogkick.der.compiled import SOURCES
-from frogkick.der.strokes import cubic
 from frogkick.effects import rods_of
 from frogkick.library.sampling import sample_starts
 from frogkick.library.starts import Starts, rigid_starts

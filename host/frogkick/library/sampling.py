@@ -20,9 +20,10 @@ from frogkick.core.errors import ConvergenceError, InputError, nearest_name
 from frogkick.core.poses import wrap_angle
 from frogkick.der import STEP_S, WIDTH, Batch, Rods
 from frogkick.effects import rods_of
+from frogkick.effects.acting import lane_effects, program_of
 from frogkick.library.starts import Starts, VisitedStates, random_swims, rigid_starts
 from frogkick.library.store import make_library, quantise
-from frogkick.library.transitions import fire_action, lane_effects, simulate_task
+from frogkick.library.transitions import simulate_task
 from frogkick.planner.plan import config_of, plan_batch
 from frogkick.robot import Robot, mirror_of
 from frogkick.tables.image import Tables, open_image
@@ -133,7 +134,8 @@ def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> l
             made = plan_batch(tables, path, config, state[None], along_points=along[lane])[0]
             along[lane] = float(made["along_points"])
             chosen[lane].append(int(made["action"]))
-            fire_action(robot, batch, acting, lane, chosen[lane][-1], stroke * robot.period_s)
+            action = robot.actions[chosen[lane][-1]]
+            acting.fire_all(batch, lane, program_of(robot, action, stroke * robot.period_s))
         acting.advance(batch, (stroke + 1) * robot.period_s)
     for lane, failure in batch.failures.items():
         raise ConvergenceError(f"a planned swim of {robot.id!r} {failure} (lane {lane})")

@@ -10,9 +10,9 @@ import numpy as np
 from frogkick.core.arrays import Bool, Float32, Float64, Int64
 from frogkick.core.errors import ConvergenceError
 from frogkick.core.poses import relative
-from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
-from frogkick.der.strokes import interpolate
-from frogkick.effects import ActingLanes, Effect, body_effects
+from frogkick.der import STEP_S, WIDTH, Batch, Rods, interpolate
+from frogkick.effects import Acting, Effect
+from frogkick.effects.acting import lane_effects, program_of
 from frogkick.robot import Robot
 
 SAMPLE_S = 0.05  # spacing of recorded poses: a cubic between them errs by 0.02 mm
@@ -90,23 +90,6 @@ def previous_actions(actions: Int64, stroke: int) -> Int64:
     return found
 
 
-def lane_effects(robot: Robot, lanes: int, extra: Sequence[Effect] = ()) -> ActingLanes:
-    """The effects of a robot's file, and ``extra``, in parallel lanes; random effects draw the same in each
-    lane."""
-    effects = (*body_effects(robot), *extra)
-    return ActingLanes(effects, robot, [np.random.default_rng(0) for _ in range(lanes)])
-
-
-def fire_action(
-    robot: Robot, batch: Batch, acting: ActingLanes, lane: int, action: int, start_s: float
-) -> None:
-    """Start an action of a lane's robot at a time."""
-    for time_s, mask in program_of(robot, robot.actions[action], start_s):
-        for limb in range(len(robot.limbs)):
-            if mask >> limb & 1:
-                acting.fire(batch, lane, limb, time_s)
-
-
 def simulate_task(rods: Rods, task: Task, record_s: float = 0.0, extra: Sequence[Effect] = ()) -> Transitions:
     """Simulate all actions from the wanted states of a task; the bits do not depend on its other states.
 
@@ -152,8 +135,8 @@ def simulate_task(rods: Rods, task: Task, record_s: float = 0.0, extra: Sequence
                             recorded[place, action] = motion[1]
             if stroke < strokes.max(initial=-1):
                 for lane in range(len(still)):
-                    done = int(task.actions[first + lane, stroke])
-                    fire_action(robot, batch, acting, lane, done, stroke * robot.period_s)
+                    done = robot.actions[int(task.actions[first + lane, stroke])]
+                    acting.fire_all(batch, lane, program_of(robot, done, stroke * robot.period_s))
                 acting.advance(batch, (stroke + 1) * robot.period_s)
                 for lane, failure in batch.failures.items():
                     raise ConvergenceError(f"a swim of {robot.id!r} {failure} (lane {lane})")
@@ -165,7 +148,7 @@ def simulate_task(rods: Rods, task: Task, record_s: float = 0.0, extra: Sequence
 def _branch(
     robot: Robot,
     batch: Batch,
-    acting: ActingLanes,
+    acting: Acting,
     origin: Float64,
     pairs: Sequence[tuple[int, int]],
     times_s: Float64,
@@ -182,7 +165,7 @@ def _branch(
     of = [lane for lane, _ in pairs]
     twin, twin_acting = batch.pick(of), acting.pick(of)
     for lane, (_, action) in enumerate(pairs):
-        fire_action(robot, twin, twin_acting, lane, action, began_s)
+        twin_acting.fire_all(twin, lane, program_of(robot, robot.actions[action], began_s))
     before = twin.motion_world()
     legs = [twin_acting.advance(twin, began_s + end, trace=True) for end in ends]
     found: list[tuple[Float64, Float64] | str] = []

@@ -1,4 +1,4 @@
-"""The simulated pool: the DER swimmer and a camera over it."""
+"""The simulated pool: a robot as rods in water, and a camera over it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from frogkick.core.arrays import Float64
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.poses import Fix
-from frogkick.der import Swimmer
+from frogkick.der import Batch, prepare
 from frogkick.effects import Acting, World, changed_robot
 from frogkick.pool.camera import Camera, deliver, measure
 from frogkick.robot import Robot
@@ -26,7 +27,7 @@ class Truth:
 
 
 class Pool:
-    """A swimmer that is actuated by pulses and seen by a camera. The physics is the rod simulation."""
+    """A robot that is actuated by pulses and seen by a camera. The physics is the rod simulation."""
 
     def __init__(
         self,
@@ -39,7 +40,7 @@ class Pool:
         """Start with a robot at rest.
 
         Args:
-            robot: the swimmer without the effects of ``world``.
+            robot: the robot without the effects of ``world``.
             pose_world: x_m, y_m, heading_rad of its start.
             camera: rate, delay and noise of the fixes.
             rng: for the noise; random effects get streams of their own.
@@ -49,8 +50,9 @@ class Pool:
         self.camera = camera
         self.truth = Truth()
         self._true_robot = changed_robot(robot, world.effects)
-        self._acting = Acting(world.effects, self._true_robot, rng.spawn(1)[0])
-        self._swimmer = Swimmer(self._true_robot, pose_world=pose_world)
+        self._acting = Acting(world.effects, self._true_robot, rng.spawn(1))
+        self._rods = prepare(self._true_robot)
+        self._batch = self._at_rest(pose_world, 0.0)
         self._rng = rng
         self._captured = 0
         self._sent = 0
@@ -59,7 +61,7 @@ class Pool:
     @property
     def time_s(self) -> float:
         """Pool time."""
-        return self._swimmer.time_s
+        return float(self._batch.time_s[0])
 
     @property
     def next_event_s(self) -> float:
@@ -73,15 +75,24 @@ class Pool:
 
     def state(self) -> tuple[Float64, Float64]:
         """True pose (3,) in the world and velocity (3,) in the body frame, which no planner sees."""
-        return self._swimmer.pose_world(), self._swimmer.velocity_body()
+        return self._batch.pose_world()[0], self._batch.velocity_body()[0]
 
     def put(self, pose_world: tuple[float, float, float]) -> None:
         """Lay the robot down elsewhere, at rest; what its limbs have been through stays with it."""
-        self._swimmer = Swimmer(self._true_robot, pose_world=pose_world, time_s=self.time_s)
+        self._batch = self._at_rest(pose_world, self.time_s)
+
+    def _at_rest(self, pose_world: tuple[float, float, float], time_s: float) -> Batch:
+        return Batch([self._rods], np.array([pose_world]), np.zeros((1, 3)), time_s, width=1)
 
     def actuate(self, limb: int, start_s: float) -> None:
-        """Start a limb's measured stroke, of the nominal pulse, at a pool time not before ``time_s``."""
-        self._acting.fire(self._swimmer, limb, start_s)
+        """Start a limb's measured stroke, of the nominal pulse, at a pool time not before ``time_s``.
+
+        Raises:
+            InputError: a time that has passed.
+        """
+        if not start_s >= self.time_s - 1e-9:
+            raise InputError(f"limb {limb} fired for {start_s} s at {self.time_s} s: fire now or later")
+        self._acting.fire(self._batch, 0, limb, start_s)
 
     def advance(self, until_s: float) -> list[Fix]:
         """Advance to a pool time (ConvergenceError: the rods fail); return the fixes that have arrived."""
@@ -97,15 +108,17 @@ class Pool:
 
     def _swim(self, until_s: float) -> None:
         # Times of a picture and a decision may differ by rounding; rods cannot take a step of 1e-15 s.
-        if until_s - self._swimmer.time_s > 1e-9:
-            self._acting.advance(self._swimmer, until_s)
+        if until_s - self.time_s > 1e-9:
+            self._acting.advance(self._batch, until_s)
+            for failure in self._batch.failures.values():
+                raise ConvergenceError(f"rods of {self.robot.id!r} {failure}")
 
     def _capture(self) -> None:
         self._swim(self._next_capture_s)
-        pose = np.array(self._swimmer.pose_world(), dtype=np.float64)
-        self.truth.time_s.append(self._swimmer.time_s)
+        pose, velocity = self.state()
+        self.truth.time_s.append(self.time_s)
         self.truth.pose_world.append(pose)
-        self.truth.velocity_body.append(np.array(self._swimmer.velocity_body(), dtype=np.float64))
+        self.truth.velocity_body.append(velocity)
         fix = self._seen(measure(self.camera, self._captured, self._next_capture_s, pose, self._rng))
         self._captured += 1
         for arriving in deliver(self.camera, fix, self._rng) if fix is not None else ():

@@ -17,10 +17,11 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from frogkick.core.arrays import Float32, Float64, Int64, UInt8
-from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.errors import ConvergenceError, FrogkickError, InputError
 from frogkick.core.files import atomic_path
 from frogkick.core.poses import world_from_body
-from frogkick.der import Rods, Swimmer, prepare
+from frogkick.der import Batch, Rods, prepare
+from frogkick.effects.acting import program_of
 from frogkick.report import style
 from frogkick.robot import Action, Robot, in_a_row, load_robot, parse_robot
 from frogkick.runs.runlog import RunLog
@@ -65,7 +66,7 @@ class Film:
 
     Attributes:
         time_s: (k,).
-        nodes_m: (k, n, 2) as Swimmer.nodes_world.
+        nodes_m: (k, n, 2) as Batch.nodes_world.
         pose_world: (k, 3) x, y (m), heading (rad).
         heated: (k,) mask of the limbs whose pulse is on.
         speed: simulated seconds for each second shown; 1 is real time.
@@ -93,15 +94,12 @@ def actions_swim(
     robot: Robot, actions: Sequence[Action], velocity_body: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Swim:
     """Return the swim of ``simulate_actions``: one action each period."""
-    pulses = [
-        (index * robot.period_s + delay_s, mask)
-        for index, action in enumerate(actions)
-        for delay_s, mask in ((0.0, action.first_mask), (robot.second_delay_s, action.second_mask))
-    ]
+    periods = [program_of(robot, action, index * robot.period_s) for index, action in enumerate(actions)]
+    pulses = sorted(pulse for period in periods for pulse in period)
     names = in_a_row([action.name for action in actions])
     shown = names if len(names) <= 40 else names[:37] + "..."
     duration_s, title = len(actions) * robot.period_s, f"{robot.id}: actions {shown}"
-    return Swim(prepare(robot), tuple(sorted(pulses)), duration_s, velocity_body, title)
+    return Swim(prepare(robot), tuple(pulses), duration_s, velocity_body, title)
 
 
 def run_swim(log: RunLog) -> Swim:
@@ -132,23 +130,27 @@ def film(swim: Swim) -> Film:
     """Simulate a swim and keep what each picture shows, at RATE_HZ or faster than real time if it is long.
 
     Raises:
-        ConvergenceError: see Swimmer.
+        ConvergenceError: the rods fail; the text gives the state.
     """
     pictures = min(PICTURES_MAX, math.floor(swim.duration_s * RATE_HZ + 1e-9) + 1)
     real_time = pictures < PICTURES_MAX
     spacing_s = 1.0 / RATE_HZ if real_time else swim.duration_s / (pictures - 1)
     time_s = spacing_s * np.arange(pictures, dtype=np.float64)
-    swimmer = Swimmer(swim.rods.robot, velocity_body=swim.velocity_body, rods=swim.rods)
+    batch = Batch([swim.rods], np.zeros((1, 3)), np.array([swim.velocity_body], dtype=np.float64), width=1)
     for start_s, mask in swim.pulses:
-        swimmer.fire_mask(mask, start_s)
+        for limb in range(batch.limbs):
+            if mask >> limb & 1:
+                batch.fire(0, limb, start_s)
     nodes, poses, heated = [], [], []
     for now_s in time_s:
-        swimmer.advance(float(now_s))
-        pose = swimmer.pose_world()
+        batch.advance(float(now_s))
+        for failure in batch.failures.values():
+            raise ConvergenceError(f"rods of {swim.rods.robot.id!r} {failure}")
+        pose = batch.pose_world()[0]
         moved = pose
         if swim.track is not None:
             moved = np.array([np.interp(now_s, swim.track[0], column) for column in swim.track[1].T])
-        nodes.append(moved[:2] + world_from_body(moved[2] - pose[2], swimmer.nodes_world() - pose[:2]))
+        nodes.append(moved[:2] + world_from_body(moved[2] - pose[2], batch.nodes_world()[0] - pose[:2]))
         poses.append(moved)
         on = 0
         for start_s, mask in swim.pulses:
@@ -196,7 +198,7 @@ def write_animation(
 
     Raises:
         InputError: see require_animation_name, or a place that cannot be written to.
-        ConvergenceError: see Swimmer.
+        ConvergenceError: see film.
         FrogkickError: OpenCV has no encoder.
     """
     require_animation_name(target)

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 
 from frogkick.core.arrays import Float64
 from frogkick.core.files import write_bytes
-from frogkick.der import Gait
+from frogkick.effects.swims import Gait
 from frogkick.report import style
 from frogkick.report.page import Section, Table, left_out, write_page
 from frogkick.validation.sweep import (

@@ -11,9 +11,9 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
-from frogkick.der import Failure, Gait, Rods, Swimmer, Track, simulate_gait_tracks
+from frogkick.der import Batch, Failure, Rods
 from frogkick.effects import rods_of
-from frogkick.library.transitions import lane_effects
+from frogkick.effects.swims import Gait, Track, simulate_gait_tracks
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
@@ -84,9 +84,7 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     ready = [(k, gaits[k], stroke) for k, stroke in enumerate(strokes) if not isinstance(stroke, str)]
     ready.sort(key=lambda row: row[1].frequency_hz)  # lanes that last equally long keep each other busy
     some = [replace(rods, actuation=stroke) for _, _, stroke in ready]
-    robot = rods.robot
-    acts = (lambda lanes: lane_effects(robot, lanes)) if robot.effects else None
-    tracks = simulate_gait_tracks(some, [gait for _, gait, _ in ready], cycles, acts=acts)
+    tracks = simulate_gait_tracks(some, [gait for _, gait, _ in ready], cycles)
     for (place, gait, _), track in zip(ready, tracks, strict=True):
         swum[place] = _swim(rods.robot, gait, track)
     return swum
@@ -121,7 +119,8 @@ def _swim_chunk(ready: _Ready, gaits: Sequence[Gait]) -> Swum:
 
 
 def _warm(ready: _Ready) -> None:
-    Swimmer(ready[0].robot, rods=ready[0]).advance(0.001)
+    still = np.zeros((1, 3))
+    Batch([ready[0]], still, still).advance(0.001)
 
 
 def swim_chunks(

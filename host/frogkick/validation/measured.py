@@ -24,7 +24,7 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
-from frogkick.der import Gait
+from frogkick.effects.swims import Gait
 from frogkick.robot import Profile, fit_profile
 from frogkick.robot.profile import read_mat
 

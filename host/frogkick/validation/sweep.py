@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import frogkick.der
+import frogkick.effects.swims
 import frogkick.robot.profile
 import frogkick.validation.gaits
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
-from frogkick.der import WIDTH, Gait, prepare
+from frogkick.der import WIDTH, prepare
+from frogkick.effects.swims import Gait
 from frogkick.robot import Robot
 from frogkick.robot.profile import actuation
 from frogkick.validation.gaits import CYCLES, FIRST_CYCLE, GaitSwim, swim_chunks, swim_gaits
@@ -192,7 +194,8 @@ def _key(plan: Plan) -> str:
     digest = hashlib.sha256(plan.robot.sha256)
     digest.update(repr((CYCLES, FIRST_CYCLE, plan.phases)).encode("ascii"))
     sources = sorted(Path(frogkick.der.__file__).parent.glob("*.py"))
-    for file in (*sources, Path(frogkick.robot.profile.__file__), Path(frogkick.validation.gaits.__file__)):
+    modules = (frogkick.effects.swims, frogkick.robot.profile, frogkick.validation.gaits)
+    for file in (*sources, *(Path(str(module.__file__)) for module in modules)):
         digest.update(file.read_bytes())
     return digest.hexdigest()
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
-from frogkick.der import WIDTH, Gait
+from frogkick.der import WIDTH
+from frogkick.effects.swims import Gait
 from frogkick.robot import Robot
 from frogkick.validation.gaits import CYCLES, FIRST_CYCLE, GaitSwim, speed_over_cycles, swim_chunks
 from frogkick.validation.measured import (

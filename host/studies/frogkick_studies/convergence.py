@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import ConvergenceError
 from frogkick.core.progress import shown
-from frogkick.der import STEP_S, Gait, Trajectory, prepare, program_of, simulate_gaits, simulate_many
+from frogkick.der import STEP_S, prepare
+from frogkick.effects.acting import program_of
+from frogkick.effects.swims import Gait, Trajectory, simulate_gaits, simulate_many
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick_studies import Found
@@ -66,6 +68,7 @@ def convergence(
     Returns:
         The curve of the strokes and the curve of the gaits.
     """
+    robot = replace(robot, effects=())  # the error of the rods alone
     gaits = _gaits(robot)[::every]
 
     def gait_speeds(robot: Robot, step_s: float) -> Float64:

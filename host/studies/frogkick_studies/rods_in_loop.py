@@ -21,13 +21,13 @@ from frogkick.core.arrays import Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import ConvergenceError, FrogkickError
 from frogkick.core.poses import Fix, body_from_world, relative, wrap_angle
-from frogkick.der import STEP_S, WIDTH, Batch
-from frogkick.der.strokes import interpolate
-from frogkick.effects import ActingLanes, rods_of
+from frogkick.der import STEP_S, WIDTH, Batch, interpolate
+from frogkick.effects import Acting, rods_of
+from frogkick.effects.acting import lane_effects, program_of
 from frogkick.estimator.estimator import Estimator
 from frogkick.estimator.follow import End, Follow
 from frogkick.library.fitting import looked_up
-from frogkick.library.transitions import fire_action, lane_effects, previous_actions
+from frogkick.library.transitions import previous_actions
 from frogkick.paths import Path, shape
 from frogkick.planner.plan import PlanConfig, config_of, plan
 from frogkick.pool.camera import Camera, measure
@@ -293,14 +293,14 @@ _APART = 100  # velocity codes between the names of a tree's nodes
 
 
 def swim_a_period(
-    robot: Robot, batch: Batch, acting: ActingLanes, actions: Mapping[int, int]
+    robot: Robot, batch: Batch, acting: Acting, actions: Mapping[int, int]
 ) -> dict[int, tuple[Float64, Float64]]:
     """Advance some lanes by one action and period; return (k,) times and (k, MOTION) rows of each, with the
     start.
     """
     start_s, before, until = batch.time_s.copy(), batch.motion_world(), batch.time_s.copy()
     for lane, action in actions.items():
-        fire_action(robot, batch, acting, lane, action, float(start_s[lane]))
+        acting.fire_all(batch, lane, program_of(robot, robot.actions[action], float(start_s[lane])))
         until[lane] += robot.period_s
     traces = acting.advance(batch, until, trace=True)
     for lane, failure in batch.failures.items():
@@ -320,7 +320,7 @@ def motion_of(times_s: Float64, rows: Float64) -> Float64:
     return relative(pose[0], pose[1])
 
 
-def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Float64:
+def ask_rods(robot: Robot, batch: Batch, acting: Acting, depth: int) -> Float64:
     """Let copies of swimming robots try every sequence of actions.
 
     Args:

@@ -12,8 +12,9 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
-from frogkick.der import WIDTH, Gait
+from frogkick.der import WIDTH
 from frogkick.effects import BUILT_IN, Parameter, rods_of
+from frogkick.effects.swims import Gait
 from frogkick.robot import Profile, Robot
 from frogkick.validation.gaits import GaitSwim, swim_gaits
 from frogkick.validation.validate import ExperimentResult

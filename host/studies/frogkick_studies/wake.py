@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.progress import shown
-from frogkick.der import Gait
+from frogkick.effects.swims import Gait
 from frogkick.report import style
 from frogkick.robot import load_robot
 from frogkick.validation.validate import ExperimentResult, swum_of, validate

@@ -23,10 +23,10 @@ from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
-from frogkick.der import Gait
 from frogkick.effects import make_effect
 from frogkick.effects.acting import LEG_S
 from frogkick.effects.body import frame_mass_kg, gyration_m
+from frogkick.effects.swims import Gait
 from frogkick.identification.calibrated import (
     NOISES,
     GaussNewton,

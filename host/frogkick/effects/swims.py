@@ -1,33 +1,141 @@
-"""Trajectories of one robot: a sequence of actions, or cyclic gaits."""
+"""Swims of robots with the effects of their files: strokes of many, a sequence of actions, or cyclic gaits.
+
+Effects act as in a library (see ``body_effects``): flows of the water do not, because the position in them is
+unknown.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frogkick.core.arrays import Float64
+from frogkick.core.arrays import Float64, Int64
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.poses import wrap_angle
-from frogkick.der.batch import WIDTH, Failure
-from frogkick.der.mesh import Rods, prepare
-from frogkick.der.schedule import STEP_S
-from frogkick.der.strokes import (
-    LaneEffects,
-    Program,
-    Track,
-    interpolate,
-    program_of,
-    simulate_many,
-    simulate_stages,
-)
+from frogkick.der import STEP_S, WIDTH, Batch, Failure, Rods, interpolate
+from frogkick.effects.acting import Program, lane_effects, program_of, rods_of
 from frogkick.robot import Action, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 
 SAMPLE_S = 0.01  # spacing of trajectories
 CYCLES_MAX = 10000
+
+Stage = tuple[Sequence[Program], Float64]
+"""Strokes of k simulations that are fired together, and the times (k,) to which they are then advanced."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The motion of a simulation from its first to its last stage, step by step."""
+
+    time_s: Float64  # (n,) 0 and the ends of all time steps
+    motion: Float64  # (n, MOTION) rows of frogkick.der.body.body_motion, world frame
+    stage_end: Int64  # (stages + 1,) rows at which stages begin and end
+
+    @property
+    def node_mean_m(self) -> Float64:
+        """(n,) forward position of the unweighted mean of all nodes."""
+        return np.asarray(self.motion[:, 6])
+
+
+def simulate_stages(
+    rods: Sequence[Rods],
+    velocity_body: Float64,
+    stages: Sequence[Stage],
+    *,
+    step_s: float = STEP_S,
+    width: int = WIDTH,
+) -> list[Track | Failure]:
+    """Simulate robots from the world's origin, limbs at rest, ``width`` at a time, through all stages.
+
+    Args:
+        rods: one for each simulation, of one mesh.
+        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at the start.
+        step_s: finest time step.
+    """
+    found: list[Track | Failure] = []
+    for first in range(0, len(rods), width):
+        some = slice(first, first + width)
+        velocity = velocity_body[some]
+        batch = Batch(rods[some], np.zeros_like(velocity), velocity, 0.0, step_s, width)
+        acting = lane_effects(rods[0].robot, batch.lanes)
+        ends = [[np.zeros(1)] for _ in velocity]
+        rows = [[row[None]] for row in batch.motion_world()]
+        for programs, until_s in stages:
+            for lane, program in enumerate(programs[some]):
+                acting.fire_all(batch, lane, program)
+            for lane, (times, motion) in enumerate(acting.advance(batch, until_s[some], trace=True)):
+                ends[lane].append(times)
+                rows[lane].append(motion)
+        for lane in range(batch.lanes):
+            stage_end = np.cumsum([len(times) for times in ends[lane]]) - 1
+            track = Track(np.concatenate(ends[lane]), np.concatenate(rows[lane]), stage_end)
+            found.append(batch.failures.get(lane, track))
+    return found
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions of k robots from the world's origin, heading along world x."""
+
+    time_s: Float64  # (s,) times
+    pose_world: Float64  # (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN after a failure
+    velocity_body: Float64  # (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise
+    failures: dict[int, Failure]  # simulation -> its failure
+
+
+def simulate_many(
+    rods: Rods,
+    velocity_body: Float64,
+    programs: Sequence[Program],
+    time_s: Sequence[float] | Float64,
+    *,
+    step_s: float = STEP_S,
+    width: int = WIDTH,
+) -> Motions:
+    """Simulate robots of one mesh from rest poses, limbs at rest, ``width`` at a time.
+
+    Each result has the same bits, whatever else is simulated with it. Lanes with the same strokes share most
+    of their steps.
+
+    Args:
+        rods: of all simulations.
+        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at the start.
+        programs: (k) strokes of each.
+        time_s: (s,) increasing, after 0: times of the results. A step ends at the last of them; the others
+            are interpolated between steps (cubic Hermite).
+        step_s: finest time step.
+        width: lanes of a batch.
+
+    Raises:
+        InputError: shapes that do not fit, values that are not finite, or times that do not increase.
+    """
+    velocity = np.asarray(velocity_body, dtype=np.float64)
+    times = np.asarray(time_s, dtype=np.float64)
+    if velocity.ndim != 2 or velocity.shape[1] != 3 or len(velocity) != len(programs):
+        raise InputError(
+            f"velocities have shape {velocity.shape} for {len(programs)} programs: give (k, 3) for k programs"
+        )
+    if not np.isfinite(velocity).all():
+        raise InputError("initial velocities must be finite: one is not")
+    if times.ndim != 1 or not len(times) or not (np.diff(times, prepend=0.0) > 0.0).all():
+        raise InputError(f"times {times.tolist()} do not increase from 0: give increasing seconds after 0")
+    if not (np.isfinite(times[-1]) and np.isfinite(step_s) and step_s > 0.0 and width > 0):
+        raise InputError(f"last time {times[-1]} s, step {step_s} s, width {width}: give positive ones")
+    pose = np.full((len(programs), len(times), 3), np.nan)
+    speed = np.full_like(pose, np.nan)
+    failures: dict[int, Failure] = {}
+    stage = programs, np.full(len(programs), times[-1])
+    tracks = simulate_stages([rods] * len(programs), velocity, [stage], step_s=step_s, width=width)
+    for k, track in enumerate(tracks):
+        if isinstance(track, Failure):
+            failures[k] = track
+        else:
+            pose[k], speed[k] = interpolate(track.time_s, track.motion, times)
+    return Motions(times, pose, speed, failures)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,8 +201,6 @@ def simulate_actions(
     velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
     *,
     step_s: float = STEP_S,
-    rods: Rods | None = None,
-    acts: Callable[[int], LaneEffects] | None = None,
 ) -> Trajectory:
     """Simulate a sequence of actions, one each Robot.period_s, heading along world x at the start.
 
@@ -102,8 +208,6 @@ def simulate_actions(
         actions: its actions, or their names.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
         step_s: finest time step.
-        rods: its rods if effects change the body; None: prepare(robot).
-        acts: makes the effects of a number of lanes; None: no effects.
 
     Raises:
         InputError: no action, or an unknown one.
@@ -119,13 +223,12 @@ def simulate_actions(
     ]
     time_s = sample_times(robot.period_s, len(chosen))
     motions = simulate_many(
-        prepare(robot) if rods is None else rods,
+        rods_of(robot),
         np.array([velocity_body], dtype=np.float64),
         [program],
         time_s[1:],
         step_s=step_s,
         width=1,
-        acts=acts,
     )
     if motions.failures:
         raise ConvergenceError(f"rods of {robot.id!r} {motions.failures[0]}")
@@ -154,8 +257,6 @@ def simulate_gaits(
     *,
     step_s: float = STEP_S,
     width: int = WIDTH,
-    rods: Rods | None = None,
-    acts: Callable[[int], LaneEffects] | None = None,
 ) -> list[Trajectory | Failure]:
     """Simulate cyclic gaits from rest, side by side, heading along world x.
 
@@ -168,8 +269,6 @@ def simulate_gaits(
         robot: the robot, with its profiles and its groups of limbs.
         gaits: phases in [0, 1).
         step_s: finest time step.
-        rods: its rods if effects change the body; None: prepare(robot).
-        acts: makes the effects of a number of lanes; None: no effects.
 
     Returns:
         For each gait its trajectory, or the failure.
@@ -183,9 +282,9 @@ def simulate_gaits(
             raise InputError(f"phase is {gait.phase}: give a share of the cycle, 0 <= phase < 1")
     if not 1 <= cycles <= CYCLES_MAX:
         raise InputError(f"cycles is {cycles}: give 1 to {CYCLES_MAX}")
-    body = prepare(robot) if rods is None else rods
+    body = rods_of(robot)
     some = [replace(body, actuation=robot.actuation(gait.egain_percent, gait.frequency_hz)) for gait in gaits]
-    tracks = simulate_gait_tracks(some, gaits, cycles, step_s=step_s, width=width, acts=acts)
+    tracks = simulate_gait_tracks(some, gaits, cycles, step_s=step_s, width=width)
     last = min(cycles, 8)
     counted = min(last, 3)
     pulses = cycles * (robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count())
@@ -210,13 +309,12 @@ def simulate_gait_tracks(
     *,
     step_s: float = STEP_S,
     width: int = WIDTH,
-    acts: Callable[[int], LaneEffects] | None = None,
 ) -> list[Track | Failure]:
     """Simulate gaits with phases in [0, 1) from rest, heading along world x; each cycle is a stage.
 
     Args:
         rods: one for each gait, of one robot; frequency and phase of the gait give the times of its pulses.
-        step_s, width, acts: see ``simulate_stages``.
+        step_s, width: see ``simulate_stages``.
     """
     if not gaits:
         return []
@@ -231,4 +329,4 @@ def simulate_gait_tracks(
 
     stages = [(fired(cycle), (cycle + 1) * period_s) for cycle in range(cycles)]
     still = np.zeros((len(gaits), 3))
-    return simulate_stages(rods, still, stages, step_s=step_s, width=width, acts=acts)
+    return simulate_stages(rods, still, stages, step_s=step_s, width=width)

@@ -60,7 +60,7 @@ WHEELS: Mapping[str, frozenset[str]] = {
     "tables": frozenset({"numpy", "numba"}),
     "planner": frozenset({"numpy", "numba"}),
     "estimator": frozenset({"numpy", "numba"}),
-    "paths": frozenset({"numpy", "numba"}),
+    "paths": frozenset({"numpy", "numba", "scipy"}),
     "vision": frozenset({"numpy", "cv2", "pupil_apriltags"}),
     "link": frozenset({"cobs", "serial", "bleak"}),
     "__init__": frozenset(),

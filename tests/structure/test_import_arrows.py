@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -172,3 +173,29 @@ def test_ports_do_not_look_into_the_robot() -> None:
         assert re.findall(r"\brobot(?:\.|->)\w+", text) == []
         called = set(re.findall(r"\b(fk_robot_\w+)\(", text))
         assert called and all(f" {name}(" in public for name in called)
+
+
+SAME_BITS = ("core", "der", "effects", "estimator", "library", "paths", "planner", "pool", "robot", "tables")
+
+
+def of_blas(text: str) -> list[int]:
+    """Lines with a product or a solution whose last bits depend on the processor."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(text))
+        if (isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult))
+        or (isinstance(node, ast.Attribute) and node.attr in ("linalg", "dot", "inner", "tensordot"))
+    ]
+
+
+def test_no_room_that_makes_tables_or_runs_leaves_its_bits_to_blas() -> None:
+    """BLAS has kernels for each kind of processor; products of whole numbers are the same by each."""
+    whole = {"tables/coding.py": 3, "tables/image.py": 1}  # products of int64 arrays
+    found = {
+        str(file.relative_to(REPOSITORY / "host/frogkick")): len(lines)
+        for room in SAME_BITS
+        for file in (REPOSITORY / "host/frogkick" / room).rglob("*.py")
+        if (lines := of_blas(file.read_text(encoding="utf-8")))
+    }
+    assert found == whole
+    assert of_blas("a @ b\nnp.linalg.solve(a, b)\nnp.dot(a, b)\ndot(a, b)\n") == [1, 2, 3]

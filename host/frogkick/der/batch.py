@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frogkick.core.arrays import Float64
+from frogkick.core.arrays import Float64, dot, matmul
 from frogkick.core.poses import rotation
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.compiled import run_steps, set_accelerations, set_sums
@@ -197,11 +197,11 @@ class Batch:
         x, v, a = (lane_floats(each) for each in self._state.nodes)
         for lane, (pose, velocity) in moves.items():
             turn = rotation(pose[2])
-            arms = (x[..., lane] - centres[lane]) @ turn.T
+            arms = matmul(x[..., lane] - centres[lane], turn.T)
             x[..., lane] = centres[lane] + arms
-            v[..., lane] = v[..., lane] @ turn.T + velocity[:2]
+            v[..., lane] = matmul(v[..., lane], turn.T) + velocity[:2]
             v[..., lane] += velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
-            a[..., lane] = a[..., lane] @ turn.T
+            a[..., lane] = matmul(a[..., lane], turn.T)
             self._origin[lane] += pose[:2]
 
     def save(self, lane: int) -> Checkpoint:
@@ -338,7 +338,7 @@ class Batch:
     def inertia_kg_m2(self) -> float:
         """Moment of inertia about the centre of mass with all limbs at rest, including added mass."""
         mesh = self._state.mesh
-        return float(mesh.mass_kg @ (mesh.rest_m**2).sum(axis=1))
+        return dot(mesh.mass_kg, (mesh.rest_m**2).sum(axis=1))
 
     def motion_world(self) -> Float64:
         """Return (lanes, MOTION) rows of frogkick.der.body.body_motion, world frame."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int32
+from frogkick.core.arrays import Float64, Int32, dot
 from frogkick.der.solve import SymbolicFactorisation, factorise_symbolically
 from frogkick.robot import Actuation, Robot
 
@@ -88,7 +88,7 @@ def turning_curvature(rest_m: Float64, nodes: tuple[int, int, int]) -> tuple[flo
     e = rest_m[nodes[1]] - rest_m[nodes[0]]
     f = rest_m[nodes[2]] - rest_m[nodes[1]]
     dl = 0.5 * (float(np.hypot(*e)) + float(np.hypot(*f)))
-    phi = math.atan2(float(e[0] * f[1] - e[1] * f[0]), float(e @ f))
+    phi = math.atan2(float(e[0] * f[1] - e[1] * f[0]), dot(e, f))
     return 2.0 * math.tan(0.5 * phi) / dl, dl
 
 
@@ -171,7 +171,7 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
     mass = np.zeros(len(points))
     np.add.at(mass, ends.ravel(), np.repeat(0.5 * material[:, 1] * length, 2))
     if frame.centre_mass_share > 0.0:
-        outline_kg = 0.5 * material[:n_frame, 1] @ length[:n_frame] * 2.0
+        outline_kg = dot(material[:n_frame, 1], length[:n_frame])
         mass[-1] += outline_kg * frame.centre_mass_share / (1.0 - frame.centre_mass_share)
     curvature = [turning_curvature(rest, bend) for bend in bends]
     natural = [limb_curvature.get(b, curvature[b][0]) for b in range(len(bends))]
@@ -182,7 +182,7 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
     weakest = min(limb.modulus_rest_pa * limb.second_moment_m4 / limb.length_m**2 for limb in robot.limbs)
     mesh = Mesh(
         frame_nodes=n_frame,
-        rest_m=rest - (mass @ rest) / mass.sum(),
+        rest_m=rest - np.einsum("n,nc->c", mass, rest) / mass.sum(),
         mass_kg=mass,
         edge_nodes=ends,
         edge_length_m=np.ascontiguousarray(length),

@@ -19,6 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from frogkick.core.arrays import dot
 from frogkick.core.poses import Fix, rotate
 from frogkick.effects.base import Body, Effect, History, Stroke, parameter
 from frogkick.effects.limbs import GroupEffect
@@ -39,7 +40,7 @@ def gyration_m(frame: Frame) -> float:
     squares, whole = 0.0, 0.0
     for a, b in pairwise([*corners, corners[0]]):
         length = float(np.hypot(*(b - a)))
-        squares += length * float(a @ a + a @ b + b @ b) / 3.0
+        squares += length * (dot(a, a) + dot(a, b) + dot(b, b)) / 3.0
         whole += length
     return math.sqrt(squares / whole)
 
@@ -55,8 +56,8 @@ def with_inertia(frame: Frame, moved_m: tuple[float, float], share: float) -> Fr
     k = gyration_m(frame)
     had, at = frame.centre_mass_share, np.array(frame.centre_mass_at_m)
     centre = had * at + np.array(moved_m)
-    inertia = (1.0 - share) * ((1.0 - had) + had * float(at @ at) / k**2)
-    apart = float(centre @ centre) / k**2
+    inertia = (1.0 - share) * ((1.0 - had) + had * dot(at, at) / k**2)
+    apart = dot(centre, centre) / k**2
     # The root S, between 0 and 1, of S p = centre and (1 - S) + S p^2 / k^2 = inertia.
     less = 1.0 - max(inertia, apart + _LEAST_INERTIA)
     point = 0.5 * (less + math.sqrt(less * less + 4.0 * apart))

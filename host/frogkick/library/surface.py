@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int64
+from frogkick.core.arrays import Float64, Int64, matmul, solve_positive
 from frogkick.core.errors import InputError
 from frogkick.library.transitions import RESTED
 from frogkick.robot import Robot
@@ -86,8 +86,11 @@ def fit_history(
         for gain in (1.0, 1.0 - decay) if decay else (1.0,):
             use = limb_use(robot, previous, decay, gain)
             other = use - smoothed(use)
-            effect, *_ = np.linalg.lstsq(other, flat, rcond=1e-6)
-            rest = float(((flat - other @ effect) ** 2).sum())
+            normal = matmul(other.T, other)
+            diagonal = np.arange(len(normal))
+            normal[diagonal, diagonal] += _USE_RIDGE * normal.trace() + 1e-12
+            effect = solve_positive(normal, matmul(other.T, flat))
+            rest = float(((flat - matmul(other, effect)) ** 2).sum())
             if rest < least * (1.0 - 1e-9):
                 shaped = effect.reshape(len(robot.limbs), len(robot.actions), 6).transpose(1, 0, 2)
                 best, least = History(shaped * weight, decay, gain), rest
@@ -100,6 +103,7 @@ NEIGHBOURS = 40
 STATES_MIN = NEIGHBOURS + 1
 
 _AT_ONCE = 1024
+_USE_RIDGE = 1e-10  # of the sum of squares: limbs that always fire together share their effect
 RIDGES = (1e-3, 1e-9)
 """Ridge penalties, relative to the number of neighbours, in units of their reach. The small one suits rods,
 which are smooth. The large one suppresses slopes out of the plane of the neighbours, which would fit noise
@@ -197,12 +201,14 @@ def _local(tree: Any, codes: Float64, values: Float64, at: Float64, ridge: float
         apart, near = tree.query(some, NEIGHBOURS + skip)
         apart, near = apart[:, skip:], near[:, skip:]
         reach = 1.05 * apart[:, -1:] + 1e-9
-        weight = (1.0 - (apart / reach) ** 3) ** 3
+        ratio = apart / reach
+        near_one = 1.0 - ratio * ratio * ratio
+        weight = near_one * near_one * near_one
         offset = (codes[near] - some[:, None]) / reach[:, :, None]
         squares = offset[..., first] * offset[..., second]
         terms = np.concatenate([np.ones((*near.shape, 1)), offset, squares], axis=2)
         weighted = np.swapaxes(terms * weight[:, :, None], 1, 2)
-        normal = weighted @ terms
+        normal = matmul(weighted, terms)
         normal[:, np.arange(1, 10), np.arange(1, 10)] += ridge * NEIGHBOURS
-        found[begin : begin + _AT_ONCE] = np.linalg.solve(normal, weighted @ values[near])[:, 0]
+        found[begin : begin + _AT_ONCE] = solve_positive(normal, matmul(weighted, values[near]))[:, 0]
     return found

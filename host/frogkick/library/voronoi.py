@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int64
+from frogkick.core.arrays import Float64, Int64, matmul, solve_positive
 
 _SPLIT_SHARE = 0.25  # of the cells at once, while there are few
 _MOVES = 2  # to the means after each split
+_SQUARINGS = 6  # the 64th power of a matrix
 _RIDGE = 1e-3  # of a cell's variance: slopes across velocities on a line become those of the global trend
 
 
@@ -59,7 +60,9 @@ class VoronoiRegression:
         self._trend = np.zeros((4, values.shape[1]))
         if linear:
             terms = np.concatenate([np.ones((len(codes), 1)), codes - middle], axis=1)
-            self._trend = np.linalg.lstsq(terms, values, rcond=None)[0]
+            normal = matmul(terms.T, terms)
+            normal[np.arange(4), np.arange(4)] += 1e-12 * normal.trace()  # velocities may lie in a plane
+            self._trend = solve_positive(normal, matmul(terms.T, values))
         else:
             self._trend[0] = values.mean(axis=0)
         self._middle = middle
@@ -67,7 +70,7 @@ class VoronoiRegression:
         self._grown = [middle[None]]
 
     def _trend_at(self, codes: Float64) -> Float64:
-        return np.asarray(self._trend[0] + (codes - self._middle) @ self._trend[1:])
+        return np.asarray(self._trend[0] + matmul(codes - self._middle, self._trend[1:]))
 
     def cells(self, count: int) -> VoronoiCells:
         """Divide into ``count`` cells, or as many as the samples allow."""
@@ -95,7 +98,12 @@ class VoronoiRegression:
             centred = inside - inside.mean(axis=0) if len(inside) else inside
             if len(inside) < 2 or not centred.any() or total[cell] <= 0.0:
                 continue
-            side = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -1] > 0.0
+            spread = matmul(centred.T, centred)
+            for _ in range(_SQUARINGS):  # its powers approach the projection on the longest axis
+                spread = spread / spread.trace()
+                spread = matmul(spread, spread)
+            longest = spread[:, spread.diagonal().argmax()]
+            side = matmul(centred, longest[:, None])[:, 0] > 0.0
             if side.all() or not side.any():  # they differ by rounding alone
                 continue
             divided[cell] = inside[side].mean(axis=0)
@@ -134,7 +142,7 @@ class VoronoiRegression:
             least = (offset**2).mean() + 1e-9  # as of one more sample, for cells that have a single one
             normal[:, slopes, slopes] += _RIDGE * (normal[:, slopes, slopes].mean(axis=1) + least)[:, None]
         solved = np.zeros((len(states), 4, self._rest.shape[1]))
-        solved[filled, :size] = np.linalg.solve(normal, right)
+        solved[filled, :size] = solve_positive(normal, right)
         fitted = np.einsum("mi,mic->mc", sorted_terms, solved[label[order], :size])
         errors = np.empty(len(label))
         errors[order] = (((fitted - sorted_rest) / self._weight) ** 2).sum(axis=1)

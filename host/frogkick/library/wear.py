@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frogkick.core.arrays import Float64
+from frogkick.core.arrays import Float64, dot
 from frogkick.der import Rods
 from frogkick.effects.base import Effect, History, Stroke
 from frogkick.library.surface import noise_of
@@ -84,10 +84,12 @@ def _by_loss(change: Float64) -> Float64:
     where the stroke's gain loses nearly everything within its first third.
     """
     lost = change[-1]
-    size2 = float(lost @ lost)
+    size2 = dot(lost, lost)
     if size2 < _LEAST**2:
         return np.zeros((WEAR_KNOTS, 6))
-    share = np.maximum.accumulate(np.clip(np.concatenate([[0.0], change @ lost / size2]), 0.0, 1.0))
+    share = np.maximum.accumulate(
+        np.clip(np.concatenate([[0.0], np.einsum("gc,c->g", change, lost) / size2]), 0.0, 1.0)
+    )
     known = np.concatenate([np.zeros((1, 6)), change])
     knots = np.arange(1, WEAR_KNOTS + 1) / WEAR_KNOTS
     return np.stack([np.interp(knots, share, column) for column in known.T], axis=1)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.errors import InputError
-from frogkick.core.poses import rotation, wrap_angle
+from frogkick.core.poses import rotate, world_from_body, wrap_angle
 
 # fk_path_t holds this many points (FK_PATH_POINTS_MAX in fk_planner.h); the paper's paths have exactly 100.
 POINTS_MAX = 100
@@ -134,9 +134,8 @@ class Path:
         """The pose for ``place`` at which the path begins at a pose (x m, y m, heading rad)."""
         x_m, y_m, heading_rad = pose_world
         turn = heading_rad - float(self.tangent_rad[0])
-        first = np.array([self.x_m[0], self.y_m[0]], dtype=np.float64)
-        shift = np.array([x_m, y_m]) - rotation(turn) @ first
-        return float(shift[0]), float(shift[1]), turn
+        first_x, first_y = rotate(turn, float(self.x_m[0]), float(self.y_m[0]))
+        return float(x_m) - first_x, float(y_m) - first_y, turn
 
     def place(self, pose_world: Sequence[float] | ArrayLike) -> Path:
         """The path with its origin and x axis moved to a pose (x m, y m, heading rad).
@@ -149,7 +148,7 @@ class Path:
             raise InputError(
                 f"path {self.name!r} cannot be placed at {pose.tolist()}: give x m, y m, heading rad"
             )
-        points = self.points_m @ rotation(pose[2]).T + pose[:2]
+        points = world_from_body(pose[2], self.points_m) + pose[:2]
         tangent = self.tangent_rad.astype(np.float64) + pose[2]
         return Path.from_arrays(points[:, 0], points[:, 1], tangent, self.name)
 

@@ -220,20 +220,11 @@ def from_waypoints(
 def _spline(knots: Float64, per_segment: int = 64) -> Float64:
     """Points on the natural cubic spline over chord length: (segments * per_segment + 1, 2), m.
 
-    Source: de Boor 1978, chapter IV (tridiagonal system for the second derivatives, free ends).
+    Source: de Boor 1978, chapter IV (free ends).
     """
-    span = np.hypot(*np.diff(knots, axis=0).T)
-    n = len(knots)
-    matrix = np.eye(n)
-    right = np.zeros((n, 2))
-    slope = np.diff(knots, axis=0) / span[:, None]
-    for i in range(1, n - 1):
-        matrix[i, i - 1 : i + 2] = span[i - 1], 2.0 * (span[i - 1] + span[i]), span[i]
-        right[i] = 6.0 * (slope[i] - slope[i - 1])
-    second = np.linalg.solve(matrix, right)
-    u = np.linspace(0.0, 1.0, per_segment, endpoint=False)[None, :, None]
-    h = span[:, None, None]
-    low, high = knots[:-1, None, :], knots[1:, None, :]
-    bend = ((1 - u) ** 3 - (1 - u)) * second[:-1, None, :] + (u**3 - u) * second[1:, None, :]
-    curve = (1 - u) * low + u * high + h**2 / 6.0 * bend
-    return np.vstack([curve.reshape(-1, 2), knots[-1]])
+    from scipy.interpolate import CubicSpline
+
+    chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(knots, axis=0).T))])
+    share = np.arange(per_segment) / per_segment
+    at = (chord[:-1, None] + np.diff(chord)[:, None] * share).ravel()
+    return np.asarray(CubicSpline(chord, knots, bc_type="natural")(np.append(at, chord[-1])))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frogkick.core.arrays import Bool, Float64
+from frogkick.core.arrays import Bool, Float64, dot
 from frogkick.core.errors import InputError
 from frogkick.robot.model import Frame, Limb, Robot, limb_points, outline_of
 
@@ -43,7 +43,7 @@ def require_geometry(frame: Frame, limbs: tuple[Limb, ...]) -> None:
                 f"make each {SEGMENT_MIN_M:g} m or longer"
             )
         along, before = np.diff(_edge(frame, i), axis=0)[0], np.diff(_edge(frame, (i - 1) % n), axis=0)[0]
-        turn_deg = math.degrees(math.atan2(float(_cross(before, along)), float(before @ along)))
+        turn_deg = math.degrees(math.atan2(float(_cross(before, along)), dot(before, along)))
         if abs(turn_deg) > TURN_MAX_DEG:
             raise InputError(
                 f"the frame turns by {turn_deg:.0f} degrees at corner {i}: edges may turn by up to "

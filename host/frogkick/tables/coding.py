@@ -7,12 +7,11 @@ processor and linear algebra library makes the same image.
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int16, Int64
+from frogkick.core.arrays import Float64, Int16, Int64, solve_positive
 from frogkick.tables import layout
 
 ONE = 16384
@@ -196,22 +195,7 @@ def _least_squares(factors: Int64, targets: Int64) -> Float64:
     """(10, c) solution of factors / 16384 @ x = targets, by Cholesky on exact integer sums."""
     normal = (factors.T @ factors).astype(np.float64)
     right = (factors.T @ targets).astype(np.float64) * 16384.0
-    size = len(normal)
-    normal[np.arange(size), np.arange(size)] *= 1.0 + _RIDGE
-    normal[np.arange(size), np.arange(size)] += 1.0
-    lower = [[0.0] * size for _ in range(size)]
-    for i in range(size):
-        for j in range(i + 1):
-            rest = float(normal[i, j])
-            for k in range(j):
-                rest -= lower[i][k] * lower[j][k]
-            lower[i][j] = math.sqrt(max(rest, 1e-3)) if i == j else rest / lower[j][j]
-    for i in range(size):
-        for k in range(i):
-            right[i] -= lower[i][k] * right[k]
-        right[i] /= lower[i][i]
-    for i in reversed(range(size)):
-        for k in range(i + 1, size):
-            right[i] -= lower[k][i] * right[k]
-        right[i] /= lower[i][i]
-    return right
+    diagonal = np.arange(len(normal))
+    normal[diagonal, diagonal] *= 1.0 + _RIDGE
+    normal[diagonal, diagonal] += 1.0
+    return solve_positive(normal, right, least=1e-3)

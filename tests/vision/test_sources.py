@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from pathlib import Path
 from typing import Any
 
@@ -105,14 +104,3 @@ def test_a_camera_that_freezes_is_told() -> None:
     with pytest.raises(InputError, match="is frozen: 9 equal pictures"):
         next(frames)
     assert len(seen) == 10
-
-
-def test_the_latency_is_from_capture_to_pose() -> None:
-    usual = scene()
-    picture = usual.picture((0.6, 0.4, 0.1), np.random.default_rng(33))
-    captured = time.monotonic() - 0.25  # a picture that waited
-    before = time.monotonic()
-    seen = Tracker(calibration(usual)).observe(picture, captured, clock_s=time.monotonic())
-    took = time.monotonic() - before
-    assert 0.25 < seen.latency_s <= 0.25 + took + 1e-3
-    assert np.isnan(Tracker(calibration(usual)).observe(picture, captured).latency_s)

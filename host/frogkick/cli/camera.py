@@ -157,13 +157,14 @@ def check(
     the best that camera, pool and tag can reach. Marked points and tags at known poses show the error of the
     calibration itself. The exit code is 1 if an error is above its limit or a tag was not found.
     """
-    from frogkick.front.cameras import Rendering, check_camera
+    from frogkick.front.cameras import Conditions, check_camera
 
     require_writable(out, folder=True)
-    rendering = None
+    rendering: dict[str, Any] = {}
     if points is None and places is None:
-        rendering = Rendering(*_whole_pair(grid, "--grid"), blur_px, noise, wave_mm / 1e3, seed)
-    checked = opt.call(check_camera, locals(), rendering=rendering)
+        conditions = Conditions(blur_px=blur_px, noise=noise, wave_height_m=wave_mm / 1e3)
+        rendering = {"tags": _whole_pair(grid, "--grid"), "conditions": conditions}
+    checked = opt.call(check_camera, locals(), **rendering)
     facts, values = checked.summary(), checked.as_json()
     if out is not None:
         checked.draw(out / "error_map.png")

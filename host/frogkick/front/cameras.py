@@ -13,6 +13,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
+from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import Fix
@@ -28,13 +29,22 @@ from frogkick.vision.calibration import (
     refraction_offset_m,
     write_calibration,
 )
-from frogkick.vision.check import Place, check_frames, check_points, known_places, rendered, summary
+from frogkick.vision.check import Place, check_frames, check_points, known_places, rendered
 from frogkick.vision.pool_plane import calibrate_corners, calibrate_plane, read_corners
 from frogkick.vision.scene import Conditions
 from frogkick.vision.sources import Frame, open_source
 from frogkick.vision.tags import tag_cells, tag_margin
 
-__all__ = ["Board", "Tag", "calibrate_camera", "check_camera", "take_picture", "track_camera", "write_tag"]
+__all__ = [
+    "Board",
+    "Conditions",
+    "Tag",
+    "calibrate_camera",
+    "check_camera",
+    "take_picture",
+    "track_camera",
+    "write_tag",
+]
 
 EXPOSURE_S = 1.0
 """Time in which a camera that was just opened finds its exposure."""
@@ -116,11 +126,13 @@ def calibrate_camera(
         raise InputError(f"--tag-height-mm is {1e3 * tag.height_m:g} mm: give mm above the water, such as 12")
     tag = replace(tag, refraction_offset_m=refraction_offset_m(tag.height_m))
     lens, lens_rms_px = None, float("nan")
-    if pictures is not None:
-        if board is None:
+    for option, shown in (("--pictures", pictures), ("--plane-picture", plane_picture)):
+        if shown is not None and board is None:
             raise InputError(
-                "--pictures shows a board: give its kind with --board chessboard or --board charuco"
+                f"{option} shows a board: give its kind with --board chessboard or --board charuco"
             )
+    if pictures is not None:
+        assert board is not None
         found = read_pictures(pictures)
         lens, lens_rms_px, _ = calibrate_lens(board, found)
         seen = (found[0][1].shape[1], found[0][1].shape[0])
@@ -130,10 +142,7 @@ def calibrate_camera(
             )
         image_px = seen
     if plane_picture is not None:
-        if board is None:
-            raise InputError(
-                "--plane-picture shows a board: give its kind with --board chessboard or --board charuco"
-            )
+        assert board is not None
         laid = read_picture(plane_picture)
         made = calibrate_plane(board, laid, board_at_m, pool_m, tag, height_m, camera_height_m, lens)
         return Calibrated(made, lens_rms_px)
@@ -142,28 +151,6 @@ def calibrate_camera(
         raise InputError("the corners are pixels of a picture: give its size, such as --image 640x480")
     made = calibrate_corners(read_corners(corners), pool_m, image_px, tag, height_m, camera_height_m, lens)
     return Calibrated(made, lens_rms_px)
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """Rendered pictures, which show the best accuracy that a camera can reach.
-
-    Attributes:
-        columns, rows: places of the tag along and across the pool, 1 to 50 each.
-        blur_px, noise, wave_m: standard deviations of the blur, of the grey levels, of the tag's heave.
-        seed: seed of noise and waves.
-    """
-
-    columns: int = 9
-    rows: int = 7
-    blur_px: float = 0.6
-    noise: float = 2.0
-    wave_m: float = 0.0
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.columns <= 50 and 1 <= self.rows <= 50):
-            raise InputError(f"--grid {self.columns}x{self.rows}: give 1x1 to 50x50")
 
 
 @dataclass(frozen=True)
@@ -184,19 +171,29 @@ class CameraCheck:
     limit_deg: float
 
     def summary(self) -> dict[str, Any]:
-        """Root mean square and largest errors, and whether they are within the limits."""
-        facts: dict[str, Any] = {
+        """Root mean square and largest errors, NaN if nothing was seen; are they within the limits."""
+        errors = np.array([place.error_mm for place in self.found if place.reason == "found"])
+        turns = self._turns_deg
+        max_mm = float(errors.max()) if len(errors) else math.nan
+        turned_deg = float(np.abs(turns).max()) if len(turns) else math.nan
+        all_seen = len(errors) == len(self.found)
+        return {
             "source": self.source,
-            **summary(list(self.found)),
+            "places": len(self.found),
+            "found": len(errors),
+            "rms_mm": float(np.sqrt(np.mean(errors**2))) if len(errors) else math.nan,
+            "max_mm": max_mm,
+            "heading_rms_deg": float(np.sqrt(np.mean(turns**2))) if len(turns) else math.nan,
+            "heading_max_deg": turned_deg,
             "limit_mm": self.limit_mm,
             "limit_deg": self.limit_deg,
+            "within": all_seen and max_mm <= self.limit_mm and not turned_deg > self.limit_deg,
         }
-        facts["within"] = bool(
-            facts["found"] == facts["places"]
-            and facts["max_mm"] <= self.limit_mm
-            and not facts["heading_max_deg"] > self.limit_deg
-        )
-        return facts
+
+    @property
+    def _turns_deg(self) -> Float64:
+        """Errors of the headings that are known."""
+        return np.array([p.heading_error_deg for p in self.found if np.isfinite(p.heading_error_deg)])
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``camera check``."""
@@ -206,7 +203,7 @@ class CameraCheck:
     def remarks(self) -> list[str]:
         """Return a line for each fault: a rotation of all headings, the first places beyond the limits."""
         said = []
-        turns = np.array([p.heading_error_deg for p in self.found if np.isfinite(p.heading_error_deg)])
+        turns = self._turns_deg
         if len(turns) > 1:
             mean = float(np.degrees(np.angle(np.exp(1j * np.radians(turns)).mean())))
             mean = -mean if round(mean) == -180 else mean
@@ -245,7 +242,9 @@ def check_camera(
     *,
     points: Path | str | None = None,
     places: Path | str | None = None,
-    rendering: Rendering | None = None,
+    tags: tuple[int, int] = (9, 7),
+    conditions: Conditions | None = None,
+    seed: int = 0,
     limit_mm: float = 1.0,
     limit_deg: float = 0.5,
 ) -> CameraCheck:
@@ -259,7 +258,9 @@ def check_camera(
         calibration: file that ``Calibrated.save`` wrote.
         points: marked points: CSV with x_px, y_px, x_m, y_m.
         places: pictures of the tag at known poses: CSV with image, x_m, y_m, heading_deg.
-        rendering: settings of rendered pictures, without points and places; None: the defaults.
+        tags: rendered places of the tag along and across the pool, 1 to 50 each.
+        conditions: disturbances of the rendered pictures; None: the defaults.
+        seed: seed of noise and waves.
         limit_mm, limit_deg: the largest errors allowed.
     """
     known = read_calibration(Path(calibration))
@@ -270,10 +271,9 @@ def check_camera(
     elif places is not None:
         found, source = check_frames(known, known_places(places)), "places"
     else:
-        drawn = rendering or Rendering()
-        conditions = Conditions(blur_px=drawn.blur_px, noise=drawn.noise, wave_height_m=drawn.wave_m)
-        rng = np.random.default_rng(drawn.seed)
-        pictures = rendered(known, conditions, drawn.columns, drawn.rows, rng)
+        if not 1 <= min(tags) <= max(tags) <= 50:
+            raise InputError(f"--grid {tags[0]}x{tags[1]}: give 1x1 to 50x50")
+        pictures = rendered(known, conditions or Conditions(), *tags, np.random.default_rng(seed))
         found, source = check_frames(known, pictures), "rendered"
     return CameraCheck(known, source, found, limit_mm, limit_deg)
 

@@ -6,7 +6,7 @@ import csv
 import io
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,19 +33,7 @@ from frogkick.validation.sweep import (
     rank_gaits,
     run_sweep,
 )
-from frogkick.validation.validate import (
-    ExperimentResult,
-    Noise,
-    Requirement,
-    SimulationResult,
-    Validation,
-    authors_rmse_mps,
-    noise_of,
-    requirements,
-    single_groups_above,
-    speed_rmse_mps,
-    within_cycle_rms_m,
-)
+from frogkick.validation.validate import ExperimentResult, Noise, Requirement, Result, Validation, noise_of
 from frogkick.validation.validate import validate as swim_and_compare
 
 __all__ = ["Point", "Swept", "Validated", "sweep", "validate"]
@@ -74,12 +62,12 @@ class Validated:
     @property
     def rmse_mps(self) -> dict[str, float]:
         """Group of cases -> root-mean-square error of the model's speeds, m/s."""
-        return speed_rmse_mps(self.validation)
+        return self.validation.speed_rmse_mps
 
     @property
     def held(self) -> bool:
         """Whether every limit is held."""
-        return all(requirement.held for requirement in requirements(self.validation))
+        return all(requirement.held for requirement in self.validation.requirements)
 
     def report(self, file: Path | str) -> None:
         """Write an HTML page: errors by group, speeds, waves within a cycle, every case.
@@ -102,11 +90,11 @@ class Validated:
                 else f"cached coefficients of robot {validation.robot.id}: the data has no profile/"
             ),
             "rmse_mps": self.rmse_mps,
-            "within_cycle_rms_mm": {g: 1e3 * rms for g, rms in within_cycle_rms_m(validation).items()},
-            "requirements": [_requirement_row(r) for r in requirements(validation)],
-            "groups_above_limit": [_requirement_row(r) for r in single_groups_above(validation)],
+            "within_cycle_rms_mm": _in_mm(validation.within_cycle_rms_m),
+            "requirements": [_requirement_row(r) for r in validation.requirements],
+            "groups_above_limit": [_requirement_row(r) for r in validation.single_groups_above],
             "left_out": None if self.matched is None else _matched_row(self.matched),
-            "authors_rmse_mps": authors_rmse_mps(validation),
+            "authors_rmse_mps": validation.authors_rmse_mps,
             "noise_floor_mps": noise.neighbours,
             "noise": {
                 "method": _NOISE_METHOD,
@@ -115,8 +103,10 @@ class Validated:
                 "repeats": noise.repeated,
                 "within_swim_mps": noise.within_swim,
             },
-            "simulations": [_row(r) for r in validation.simulations],
-            "experiments": [_row(r) for r in validation.experiments],
+            "simulations": [
+                _row(r, {"within_cycle_rms_mm": 1e3 * r.within_cycle_rms_m}) for r in validation.simulations
+            ],
+            "experiments": [_row(r, {"authors_mps": r.authors_mps}) for r in validation.experiments],
             "skipped": [asdict(skipped) for skipped in validation.skipped],
         }
 
@@ -171,35 +161,23 @@ def validate(
 def _matched_row(matched: Matched) -> dict[str, Any]:
     return {
         "rmse_mps": dict(matched.rmse_mps),
-        "within_cycle_rms_mm": {group: 1e3 * rms for group, rms in matched.within_cycle_rms_m.items()},
-        "parts": [
-            {
-                "egain_percent": part.egain_percent,
-                "factors": dict(part.factors),
-                "matched_rmse_mps": part.matched_mps,
-                "left_out_rmse_mps": part.left_out_mps,
-            }
-            for part in matched.parts
-        ],
+        "within_cycle_rms_mm": _in_mm(matched.within_cycle_rms_m),
+        "parts": [asdict(part) for part in matched.parts],
     }
 
 
-def _row(result: SimulationResult | ExperimentResult) -> dict[str, Any]:
+def _in_mm(rms_m: Mapping[str, float]) -> dict[str, float]:
+    return {group: 1e3 * rms for group, rms in rms_m.items()}
+
+
+def _row(result: Result, more: dict[str, Any]) -> dict[str, Any]:
     row = {"case": result.case.name, "group": result.case.group, **asdict(result.case.gait)}
-    compared = {"model_mps": result.model_mps, "error_mps": result.error_mps}
-    if isinstance(result, SimulationResult):
-        within = {"within_cycle_rms_mm": 1e3 * result.within_cycle_rms_m, "profile": result.profile}
-        return {**row, "reference_mps": result.reference_mps, **compared, **within}
-    return {
-        **row,
-        "reference_mps": result.reference.speed_mps,
-        "reference_sd_mps": result.reference.sd_mps,
-        "cycles": result.reference.cycles,
-        "tabulated_mps": result.tabulated_mps,
-        **compared,
-        "authors_mps": result.authors_mps,
-        "profile": result.profile,
-    }
+    row["reference_mps"] = result.reference.speed_mps
+    if isinstance(result, ExperimentResult):
+        row |= {"reference_sd_mps": result.reference.sd_mps, "cycles": result.reference.cycles}
+        row["tabulated_mps"] = result.tabulated_mps
+    row |= {"model_mps": result.model_mps, "error_mps": result.error_mps}
+    return {**row, **more, "profile": result.profile}
 
 
 def _requirement_row(requirement: Requirement) -> dict[str, Any]:

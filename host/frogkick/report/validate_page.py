@@ -21,24 +21,19 @@ from frogkick.validation.validate import (
     WITHIN_CYCLE_LIMIT_M,
     ExperimentResult,
     Noise,
+    Result,
     SimulationResult,
     Validation,
-    authors_rmse_mps,
-    requirements,
-    single_groups_above,
-    speed_rmse_mps,
 )
 
 MODEL = style.PREDICTED
 AUTHORS = "#56b4e9"  # of the same palette, for the authors' simulation
 AUTHORS_LABEL = "authors' simulation"
 
-Result = SimulationResult | ExperimentResult
-
 
 def write_validation_report(target: Path, validation: Validation, noise: Noise) -> None:
     """Write the report of ``validate`` as one HTML file."""
-    speed = speed_rmse_mps(validation)
+    speed = validation.speed_rmse_mps
     lead = (
         f"{len(validation.simulations)} of the authors' simulations and {len(validation.experiments)} "
         f"measured swims are compared with the model {validation.robot.title}, with one parameter set "
@@ -63,7 +58,7 @@ def _mm(value_m: float | None, digits: int = 2) -> str:
 
 def _requirements(validation: Validation) -> Section:
     rows = []
-    for each in (*requirements(validation), *single_groups_above(validation)):
+    for each in (*validation.requirements, *validation.single_groups_above):
         is_speed = each.what == "speed_rmse_mps"
         what, unit = ("speed RMSE", "mm/s") if is_speed else ("RMS within a cycle", "mm")
         values = f"{_mm(each.value)} {unit}", f"{_mm(each.limit, 1)} {unit}"
@@ -135,16 +130,19 @@ def _speed_panel(axes: Axes, sweep: str, results: Sequence[Result]) -> None:
     ordered = sorted(results, key=lambda result: _place(result, sweep))
     model = sorted({(_place(r, sweep), 1e3 * r.model_mps) for r in ordered})
     axes.plot(*np.array(model).T, "o-", color=MODEL, markersize=4, label="model", zorder=3)
-    authors = [r for r in ordered if isinstance(r, SimulationResult)]
-    if authors:
-        rows = np.array([(_place(r, sweep), 1e3 * r.reference_mps) for r in authors])
-        axes.plot(*rows.T, "s--", color=AUTHORS, markersize=4, label=AUTHORS_LABEL)
-    swims = [r for r in ordered if isinstance(r, ExperimentResult)]
+    simulated, swims = (
+        [r for r in ordered if isinstance(r, kind)] for kind in (SimulationResult, ExperimentResult)
+    )
+    authors, measured = (
+        np.array([(_place(r, sweep), 1e3 * r.reference.speed_mps) for r in some])
+        for some in (simulated, swims)
+    )
+    if simulated:
+        axes.plot(*authors.T, "s--", color=AUTHORS, markersize=4, label=AUTHORS_LABEL)
     if swims:
-        rows = np.array([(_place(r, sweep), 1e3 * r.reference.speed_mps) for r in swims])
         bars = [2e3 * (r.reference.sd_mps or 0.0) for r in swims]
         look = style.look(color=style.MEASURED, markersize=4, capsize=2, label="measured")
-        axes.errorbar(rows[:, 0], rows[:, 1], bars, fmt="D", **look)
+        axes.errorbar(measured[:, 0], measured[:, 1], bars, fmt="D", **look)
     axes.set_ylim(bottom=0.0)
     axes.set(title=_title(sweep), xlabel=_axis_label(sweep), ylabel="speed (mm/s)")
 
@@ -202,7 +200,7 @@ def _waves(validation: Validation) -> Section:
 
 def _experiments(validation: Validation, noise: Noise) -> Section:
     swims = validation.experiments
-    ours, authors = speed_rmse_mps(validation), authors_rmse_mps(validation)
+    ours, authors = validation.speed_rmse_mps, validation.authors_rmse_mps
     table = Table.of(
         [group for group in ours if group.startswith(EXPERIMENTS)],
         {
@@ -258,9 +256,7 @@ def _cases(validation: Validation) -> Section:
         every,
         {
             "case": lambda r: r.case.name,
-            "reference, mm/s": lambda r: _mm(
-                r.reference_mps if isinstance(r, SimulationResult) else r.reference.speed_mps
-            ),
+            "reference, mm/s": lambda r: _mm(r.reference.speed_mps),
             "model, mm/s": lambda r: _mm(r.model_mps),
             "difference, mm/s": lambda r: f"{1e3 * r.error_mps:+.2f}",
             "within a cycle, mm": lambda r: (

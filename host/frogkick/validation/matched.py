@@ -17,7 +17,7 @@ from frogkick.core.arrays import Bool, Float64
 from frogkick.core.errors import InputError
 from frogkick.robot import Limb, Robot
 from frogkick.validation.gaits import GaitSwim
-from frogkick.validation.validate import Validation, by_group, root_mean_square, swum_of, wave_rms_m
+from frogkick.validation.validate import Validation, by_group, model_wave, root_mean_square, swum_of
 
 SPEED_SD_MPS = 0.5e-3
 """Standard deviation of a speed in the fit: a negligible difference between two simulations of a gait."""
@@ -65,8 +65,8 @@ class LeftOut:
 
     egain_percent: float
     factors: Mapping[str, float]  # constant -> its match to the other fractions over the robot's own value
-    matched_mps: float  # RMSE of the speeds on the other fractions
-    left_out_mps: float  # and on this one
+    matched_rmse_mps: float  # of the speeds on the other fractions
+    left_out_rmse_mps: float  # and on this one
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def matched_without(
     from scipy.optimize import least_squares
 
     cases = [result.case for result in validation.simulations]
-    known = np.array([result.reference_mps for result in validation.simulations])
+    known = np.array([result.reference.speed_mps for result in validation.simulations])
     fraction = np.array([case.gait.egain_percent for case in cases])
     every = np.unique(fraction)
     if len(every) < 2:
@@ -132,7 +132,8 @@ def matched_without(
         )
         for k, swim in zip(np.flatnonzero(~rows), swum_with(fit.x, ~rows), strict=True):
             errors_mps[k] = swim.speed_mps - known[k]
-            waves_m[k] = wave_rms_m(validation.simulations[k], swim)
+            result = validation.simulations[k]
+            waves_m[k] = replace(result, model_wave_m=model_wave(result.time_s, swim)).within_cycle_rms_m
         parts.append(
             LeftOut(
                 float(percent),

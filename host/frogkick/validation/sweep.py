@@ -70,6 +70,11 @@ class Point:
     cost_of_transport: float
     failure: str = ""
 
+    @property
+    def design(self) -> Design:
+        """Return the design that swims it."""
+        return Design(self.gait.egain_percent, self.gait.frequency_hz)
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -80,10 +85,7 @@ class Sweep:
 
     def of_design(self, design: Design) -> list[Point]:
         """Return the points of a design that have a result, by phase."""
-        wanted = (design.egain_percent, design.frequency_hz)
-        return [
-            p for p in self.points if (p.gait.egain_percent, p.gait.frequency_hz) == wanted and not p.failure
-        ]
+        return [point for point in self.points if point.design == design and not point.failure]
 
 
 def plan_sweep(
@@ -164,7 +166,12 @@ def run_sweep(
     tasks = [missing[first : first + together] for first in range(0, len(missing), together)]
     gaits = [[gait for design in task for gait in _gaits(plan, design)] for task in tasks]
     for index, swum in swim_chunks(plan.robot, plan.robot.profiles, gaits, workers, cluster):
-        points = [_point(gait, result) for gait, result in zip(gaits[index], swum, strict=True)]
+        points = [
+            Point(gait, math.nan, math.nan, result)
+            if isinstance(result, str)
+            else Point(gait, result.speed_mps, result.cost_of_transport)
+            for gait, result in zip(gaits[index], swum, strict=True)
+        ]
         for place, design in enumerate(tasks[index]):
             own = points[place * len(plan.phases) : (place + 1) * len(plan.phases)]
             write_text(_chunk_file(out, design), _chunk_text(key, own))
@@ -181,12 +188,6 @@ def _gaits(plan: Plan, design: Design) -> list[Gait]:
 
 def _chunk_file(out: Path, design: Design) -> Path:
     return out / "chunks" / f"{design.name}.json"
-
-
-def _point(gait: Gait, result: GaitSwim | str) -> Point:
-    if isinstance(result, str):
-        return Point(gait, math.nan, math.nan, result)
-    return Point(gait, result.speed_mps, result.cost_of_transport)
 
 
 def _key(plan: Plan) -> str:
@@ -330,7 +331,6 @@ class Verdict:
     best: Point  # its design at its fastest phase
     # mean speed of the same gait over PAPER_CYCLES cycles from rest, like the paper's figure
     mean_speed_mps: float
-    ahead: tuple[Point, ...]  # the designs before it at the paper's phase
 
     @property
     def agrees(self) -> bool:
@@ -371,21 +371,13 @@ def paper_verdicts(sweep: Sweep) -> list[Verdict]:
     for winner in PAPER_WINNERS:
         order: Rank = by_cost if winner.speed_mps is None else by_speed
         at_phase, at_any = rank_designs(sweep, order, PAPER_PHASE), rank_designs(sweep, order)
-        rank, rank_any = _place(at_phase, winner.design), _place(at_any, winner.design)
-        if rank is None or rank_any is None:
+        ranks = [[point.design for point in ranked] for ranked in (at_phase, at_any)]
+        if not all(winner.design in designs for designs in ranks):
             continue
+        rank, rank_any = (designs.index(winner.design) for designs in ranks)
         ours = at_phase[rank]
         (swum,) = swim_gaits(prepare(robot), robot.profiles, [ours.gait], PAPER_CYCLES)
         mean = swum.forward_m[-1] / swum.time_s[-1] if isinstance(swum, GaitSwim) else math.nan
         best = min(sweep.of_design(winner.design), key=order)
-        verdicts.append(
-            Verdict(winner, ours, rank + 1, rank_any + 1, best, float(mean), tuple(at_phase[:rank]))
-        )
+        verdicts.append(Verdict(winner, ours, rank + 1, rank_any + 1, best, float(mean)))
     return verdicts
-
-
-def _place(ranked: Sequence[Point], design: Design) -> int | None:
-    for index, point in enumerate(ranked):
-        if (point.gait.egain_percent, point.gait.frequency_hz) == (design.egain_percent, design.frequency_hz):
-            return index
-    return None

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -38,46 +39,64 @@ _SAME, _SAME_SPEED_MPS = 1e-6, 1e-9
 _END_SLACK_S = 0.0015  # the authors' files end one of their 1 ms steps around the last cycle's end
 
 
+Track = tuple[Float64, Float64]
+"""(n,) times, s, and forward positions, m, of one of the authors' simulations."""
+
+
 @dataclass(frozen=True)
-class SimulationResult:
-    """One of the authors' simulations and the model's, over cycles 5 to 8."""
+class Result:
+    """What a gait is compared with, and the model's swim."""
 
     case: Case
-    reference_mps: float
+    # of the simulation over cycles 5 to 8; of the swim's own file, or of the table if there is no file
+    reference: SteadySpeed
     model_mps: float
-    # RMS difference of the forward positions, each without its mean speed, and without the mean difference
-    within_cycle_rms_m: float
     profile: str  # origin of the limb's profile
+
+    @property
+    def error_mps(self) -> float:
+        """Model minus reference."""
+        return self.model_mps - self.reference.speed_mps
+
+
+@dataclass(frozen=True)
+class SimulationResult(Result):
+    """One of the authors' simulations and the model's, over cycles 5 to 8.
+
+    The positions are compared each without its mean speed, and without the mean difference.
+    """
+
     time_s: Float64  # (n,)
     reference_wave_m: Float64  # (n,) the compared positions
     model_wave_m: Float64
 
     @property
-    def error_mps(self) -> float:
-        """Model minus reference."""
-        return self.model_mps - self.reference_mps
+    def within_cycle_rms_m(self) -> float:
+        """RMS difference of the compared positions."""
+        return float(np.sqrt(np.mean((self.model_wave_m - self.reference_wave_m) ** 2)))
 
 
 @dataclass(frozen=True)
-class ExperimentResult:
+class ExperimentResult(Result):
     """A measured swim, the authors' simulation of it if the data has one, and the model's."""
 
-    case: Case
-    reference: SteadySpeed  # of the swim's own file, or of the table if there is no file
     tabulated_mps: float | None  # the authors' speed of this gait; if there are several, the nearest
-    model_mps: float
     authors_mps: float | None
-    profile: str  # origin of the limb's profile
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A limit on a value of a group, in SI units."""
+
+    what: str
+    group: str
+    limit: float
+    value: float
 
     @property
-    def error_mps(self) -> float:
-        """Model minus measurement."""
-        return self.model_mps - self.reference.speed_mps
-
-    @property
-    def authors_error_mps(self) -> float | None:
-        """The authors' simulation minus measurement."""
-        return None if self.authors_mps is None else self.authors_mps - self.reference.speed_mps
+    def held(self) -> bool:
+        """Whether the value is known and within the limit."""
+        return self.value <= self.limit
 
 
 @dataclass(frozen=True)
@@ -91,15 +110,47 @@ class Validation:
     experiments: tuple[ExperimentResult, ...]
     skipped: tuple[Skipped, ...]
 
+    @cached_property
+    def speed_rmse_mps(self) -> dict[str, float]:
+        """RMS speed error of each group of simulations and of experiments, m/s."""
+        results: tuple[Result, ...] = (*self.simulations, *self.experiments)
+        return by_group((each.case.group, each.error_mps) for each in results)
 
-@dataclass(frozen=True)
-class _Reference:
-    """The reference of a case: a simulation's track or a swim's speed."""
+    @cached_property
+    def within_cycle_rms_m(self) -> dict[str, float]:
+        """RMS of ``within_cycle_rms_m`` over each group of simulations, m."""
+        return by_group((each.case.group, each.within_cycle_rms_m) for each in self.simulations)
 
-    case: Case
-    track: tuple[Float64, Float64] | None = None
-    steady: SteadySpeed | None = None
-    tabulated_mps: float | None = None
+    @property
+    def authors_rmse_mps(self) -> dict[str, float]:
+        """RMS error of the authors' simulations against each group of experiments, m/s."""
+        return by_group(
+            (each.case.group, each.authors_mps - each.reference.speed_mps)
+            for each in self.experiments
+            if each.authors_mps is not None
+        )
+
+    def _required(self, speeds: Mapping[str, float], shapes: Iterable[str]) -> list[Requirement]:
+        """The limits of the groups that this data has: ``speeds`` group -> limit, ``shapes`` groups."""
+        speed, shape = self.speed_rmse_mps, self.within_cycle_rms_m
+        asked = [("speed_rmse_mps", group, limit, speed) for group, limit in speeds.items()]
+        asked += [("within_cycle_rms_m", group, WITHIN_CYCLE_LIMIT_M, shape) for group in shapes]
+        return [Requirement(what, group, limit, of[group]) for what, group, limit, of in asked if group in of]
+
+    @property
+    def requirements(self) -> list[Requirement]:
+        """The limits on the agreement with the authors' simulations that this data can test."""
+        return self._required(SPEED_LIMITS_MPS, (SIMULATIONS, *SPEED_LIMITS_MPS))
+
+    @property
+    def single_groups_above(self) -> list[Requirement]:
+        """The single groups (one EGaIn fraction or one phase sweep) above the limit of their kind."""
+        found: list[Requirement] = []
+        for group in self.within_cycle_rms_m:
+            if group.count("/") == 2:
+                limit = SPEED_LIMITS_MPS.get(group.rsplit("/", 1)[0], math.inf)
+                found += self._required({group: limit}, [group])
+        return [requirement for requirement in found if not requirement.held]
 
 
 def validate(
@@ -119,67 +170,57 @@ def validate(
     cases, skipped = find_cases(folder)
     profiles, unusable = read_profiles(folder / "profile", robot.profiles)
     skipped += unusable
-    references: list[_Reference] = []
+    references: list[tuple[Case, Track | SteadySpeed]] = []
     table = folder / "exp" / "speeds.csv"
     tabulated = read_speeds(table)
     for case in cases:
         try:
-            references.append(_read(case, tabulated))
+            references.append((case, _read(case)))
         except InputError as error:
             skipped.append(Skipped(case.name, str(error)))
-    references += _only_tabulated(tabulated, references, table)
-    swum, failed = swum_of(
-        robot, profiles, {reference.case.gait for reference in references}, workers, progress
-    )
+    filed = {case.gait for case, reference in references if isinstance(reference, SteadySpeed)}
+    for number, (gait, speed_mps) in enumerate(tabulated, start=2):
+        if gait not in filed:
+            case = Case(f"exp/speeds.csv line {number}", f"{EXPERIMENTS}/tabulated", gait, table)
+            references.append((case, SteadySpeed(speed_mps, None, 0)))
+    swum, failed = swum_of(robot, profiles, {case.gait for case, _ in references}, workers, progress)
     simulations, experiments = list[SimulationResult](), list[ExperimentResult]()
     authors = {
-        r.case.gait: speed_over_cycles(*r.track, r.case.gait.frequency_hz) for r in references if r.track
+        case.gait: speed_over_cycles(*reference, case.gait.frequency_hz)
+        for case, reference in references
+        if not isinstance(reference, SteadySpeed)
     }
-    for reference in references:
-        gait = reference.case.gait
+    for case, reference in references:
+        gait = case.gait
         if gait in failed:
-            skipped.append(Skipped(reference.case.name, failed[gait]))
-        elif reference.track is not None:
-            simulations.append(_against_simulation(reference.case, reference.track, swum[gait], profiles))
-        elif reference.steady is not None:
+            skipped.append(Skipped(case.name, failed[gait]))
+            continue
+        model_mps, profile = swum[gait].speed_mps, profiles.source(gait)
+        if isinstance(reference, SteadySpeed):
+            speeds = [speed_mps for row, speed_mps in tabulated if row == gait]
+            nearest = min(speeds, key=lambda speed: abs(speed - reference.speed_mps), default=None)
             experiments.append(
-                ExperimentResult(
-                    reference.case,
-                    reference.steady,
-                    reference.tabulated_mps,
-                    swum[gait].speed_mps,
-                    authors.get(gait),
-                    profiles.source(gait),
-                )
+                ExperimentResult(case, reference, model_mps, profile, nearest, authors.get(gait))
             )
+        else:
+            steady = SteadySpeed(speed_over_cycles(*reference, gait.frequency_hz), None, CYCLES - FIRST_CYCLE)
+            samples = _SAMPLES_PER_CYCLE * (CYCLES - FIRST_CYCLE) + 1
+            time_s = np.linspace(FIRST_CYCLE, CYCLES, samples) / gait.frequency_hz
+            waves = _wave(time_s, *reference, steady.speed_mps), model_wave(time_s, swum[gait])
+            simulations.append(SimulationResult(case, steady, model_mps, profile, time_s, *waves))
     return Validation(folder, robot, profiles, tuple(simulations), tuple(experiments), tuple(skipped))
 
 
-def _read(case: Case, tabulated: Sequence[tuple[Gait, float]]) -> _Reference:
-    gait = case.gait
-    if case.group.startswith(SIMULATIONS):
-        time_s, forward_m = read_simulation(case.file)
-        needed_s = CYCLES / gait.frequency_hz
-        if time_s[-1] < needed_s - _END_SLACK_S:
-            raise InputError(f"it ends at {time_s[-1]:g} s: cycle {CYCLES} ends at {needed_s:g} s")
-        return _Reference(case, track=(time_s, forward_m))
-    steady = steady_speed(*read_swim(case.file), gait.frequency_hz)
-    rows = [speed for row, speed in tabulated if row == gait]
-    nearest = min(rows, key=lambda speed: abs(speed - steady.speed_mps), default=None)
-    return _Reference(case, steady=steady, tabulated_mps=nearest)
-
-
-def _only_tabulated(
-    tabulated: Sequence[tuple[Gait, float]], references: Sequence[_Reference], file: Path
-) -> list[_Reference]:
-    """Return the tabulated speeds of gaits without a file."""
-    filed = {reference.case.gait for reference in references if reference.steady is not None}
-    rows: list[_Reference] = []
-    for number, (gait, speed_mps) in enumerate(tabulated, start=2):
-        if gait not in filed:
-            case = Case(f"exp/speeds.csv line {number}", f"{EXPERIMENTS}/tabulated", gait, file)
-            rows.append(_Reference(case, steady=SteadySpeed(speed_mps, None, 0), tabulated_mps=speed_mps))
-    return rows
+def _read(case: Case) -> Track | SteadySpeed:
+    """The track of a simulation, or the speed of a swim."""
+    frequency_hz = case.gait.frequency_hz
+    if not case.group.startswith(SIMULATIONS):
+        return steady_speed(*read_swim(case.file), frequency_hz)
+    track = read_simulation(case.file)
+    end_s, needed_s = track[0][-1], CYCLES / frequency_hz
+    if end_s < needed_s - _END_SLACK_S:
+        raise InputError(f"it ends at {end_s:g} s: cycle {CYCLES} ends at {needed_s:g} s")
+    return track
 
 
 def swum_of(
@@ -210,30 +251,9 @@ def _wave(at_s: Float64, time_s: Float64, forward_m: Float64, speed_mps: float) 
     return np.asarray(wave - wave.mean())
 
 
-def _model_wave(at_s: Float64, swum: GaitSwim) -> Float64:
+def model_wave(at_s: Float64, swum: GaitSwim) -> Float64:
+    """Return (n,) the ``model_wave_m`` of a swim at times of a ``SimulationResult``."""
     return _wave(at_s, swum.time_s, swum.forward_m, swum.speed_mps)
-
-
-def wave_rms_m(result: SimulationResult, swum: GaitSwim) -> float:
-    """Return ``within_cycle_rms_m`` of another swim of the same gait."""
-    gap = _model_wave(result.time_s, swum) - result.reference_wave_m
-    return float(np.sqrt(np.mean(gap**2)))
-
-
-def _against_simulation(
-    case: Case, track: tuple[Float64, Float64], swum: GaitSwim, profiles: Profiles
-) -> SimulationResult:
-    frequency_hz = case.gait.frequency_hz
-    samples = _SAMPLES_PER_CYCLE * (CYCLES - FIRST_CYCLE) + 1
-    time_s = np.linspace(FIRST_CYCLE, CYCLES, samples) / frequency_hz
-    reference_mps = speed_over_cycles(*track, frequency_hz)
-    reference_wave = _wave(time_s, *track, reference_mps)
-    model_wave = _model_wave(time_s, swum)
-    rms = float(np.sqrt(np.mean((model_wave - reference_wave) ** 2)))
-    source = profiles.source(case.gait)
-    return SimulationResult(
-        case, reference_mps, swum.speed_mps, rms, source, time_s, reference_wave, model_wave
-    )
 
 
 def root_mean_square(values: Iterable[float]) -> float:
@@ -250,66 +270,6 @@ def by_group(rows: Iterable[tuple[str, float]]) -> dict[str, float]:
         for length in range(1, min(len(parts), 3) + 1):
             members.setdefault("/".join(parts[:length]), []).append(value)
     return {group: root_mean_square(values) for group, values in sorted(members.items())}
-
-
-@dataclass(frozen=True)
-class Requirement:
-    """A limit on a value of a group, in SI units."""
-
-    what: str
-    group: str
-    limit: float
-    value: float
-
-    @property
-    def held(self) -> bool:
-        """Whether the value is known and within the limit."""
-        return self.value <= self.limit
-
-
-def speed_rmse_mps(validation: Validation) -> dict[str, float]:
-    """Return the RMS speed error of each group of simulations and of experiments, m/s."""
-    rows = [(s.case.group, s.error_mps) for s in validation.simulations]
-    return by_group(rows + [(e.case.group, e.error_mps) for e in validation.experiments])
-
-
-def within_cycle_rms_m(validation: Validation) -> dict[str, float]:
-    """Return the RMS of within_cycle_rms_m over each group of simulations, m."""
-    return by_group((r.case.group, r.within_cycle_rms_m) for r in validation.simulations)
-
-
-def authors_rmse_mps(validation: Validation) -> dict[str, float]:
-    """Return the RMS error of the authors' simulations against each group of experiments, m/s."""
-    pairs = ((r.case.group, r.authors_error_mps) for r in validation.experiments)
-    return by_group((group, error) for group, error in pairs if error is not None)
-
-
-def requirements(validation: Validation) -> list[Requirement]:
-    """Return the limits on the agreement with the authors' simulations that this data can test."""
-    speed, shape = speed_rmse_mps(validation), within_cycle_rms_m(validation)
-    asked = [
-        Requirement("speed_rmse_mps", group, limit, speed[group])
-        for group, limit in SPEED_LIMITS_MPS.items()
-        if group in speed
-    ]
-    return asked + [
-        Requirement("within_cycle_rms_m", group, WITHIN_CYCLE_LIMIT_M, shape[group])
-        for group in (SIMULATIONS, *SPEED_LIMITS_MPS)
-        if group in shape
-    ]
-
-
-def single_groups_above(validation: Validation) -> list[Requirement]:
-    """Return single groups (one EGaIn fraction or one phase sweep) above the limit of their kind."""
-    speed, shape = speed_rmse_mps(validation), within_cycle_rms_m(validation)
-    found: list[Requirement] = []
-    for group in shape:
-        if group.count("/") < 2:
-            continue
-        limit = SPEED_LIMITS_MPS.get(group.rsplit("/", 1)[0], math.inf)
-        found.append(Requirement("speed_rmse_mps", group, limit, speed[group]))
-        found.append(Requirement("within_cycle_rms_m", group, WITHIN_CYCLE_LIMIT_M, shape[group]))
-    return [requirement for requirement in found if not requirement.held]
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,11 +28,11 @@ class Place:
     # x_m, y_m: true place, pool frame
     x_m: float
     y_m: float
-    # error_x_mm, error_y_mm: seen minus true; NaN if nothing was seen
-    error_x_mm: float
-    error_y_mm: float
-    heading_error_deg: float  # seen minus true; NaN if unknown
-    reason: str  # ``found``, or why there is no pose
+    # errors, seen minus true; NaN if nothing was seen, or the true heading is unknown
+    error_x_mm: float = math.nan
+    error_y_mm: float = math.nan
+    heading_error_deg: float = math.nan
+    reason: str = "found"  # or why there is no pose
 
     @property
     def error_mm(self) -> float:
@@ -48,7 +49,7 @@ def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
     seen = calibration.pool(calibration.undistort(rows[:, :2]), calibration.plane_apparent_m)
     off = 1e3 * (seen - rows[:, 2:])
     return [
-        Place(float(x), float(y), float(dx), float(dy), float("nan"), "found")
+        Place(float(x), float(y), float(dx), float(dy))
         for (x, y), (dx, dy) in zip(rows[:, 2:], off, strict=True)
     ]
 
@@ -66,13 +67,11 @@ def check_frames(
         tracker.forget()
         seen = tracker.observe(image, 0.0)
         if seen.pose is None:
-            places.append(Place(x, y, float("nan"), float("nan"), float("nan"), seen.reason))
+            places.append(Place(x, y, reason=seen.reason))
             continue
-        turned = (
-            np.degrees(wrap_angle(seen.pose.heading_rad - heading)) if np.isfinite(heading) else float("nan")
-        )
+        turned = np.degrees(wrap_angle(seen.pose.heading_rad - heading)) if np.isfinite(heading) else math.nan
         off = 1e3 * (np.array([seen.pose.x_m, seen.pose.y_m]) - (x, y))
-        places.append(Place(x, y, float(off[0]), float(off[1]), float(turned), "found"))
+        places.append(Place(x, y, float(off[0]), float(off[1]), float(turned)))
     return places
 
 
@@ -122,18 +121,3 @@ def rendered(
             at = tag_place(calibration, float(x), float(y), heading)
             picture = scene.picture((float(at[0]), float(at[1]), float(at[2])), rng)
             yield picture, float(x), float(y), heading
-
-
-def summary(places: list[Place]) -> dict[str, float | int]:
-    """Root mean square and largest errors; NaN if nothing was seen."""
-    errors = np.array([place.error_mm for place in places if place.reason == "found"])
-    turns = np.array([p.heading_error_deg for p in places if np.isfinite(p.heading_error_deg)])
-    nan = float("nan")
-    return {
-        "places": len(places),
-        "found": len(errors),
-        "rms_mm": float(np.sqrt(np.mean(errors**2))) if len(errors) else nan,
-        "max_mm": float(errors.max()) if len(errors) else nan,
-        "heading_rms_deg": float(np.sqrt(np.mean(turns**2))) if len(turns) else nan,
-        "heading_max_deg": float(np.abs(turns).max()) if len(turns) else nan,
-    }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -109,30 +110,32 @@ def calibrate_corners(
             f"{ORDER}; if the picture is mirrored, switch that off in the camera"
         )
     length, across = pool_m
-    offset = refraction_offset_m(corner_height_m)
-    seen = corners_px
     homes = np.array([[0, 0], [length, 0], [length, across], [0, across]], dtype=np.float64)
-    if lens is not None:
-        seen = Calibration(image_px, pool_m, np.eye(3), lens=lens, tag=Tag()).undistort(corners_px)
-    homography = from_four(homes, seen)
-    camera = camera_of(homography, image_px, corner_height_m + offset, lens, camera_height_m)
-    if camera is not None:
-        _require_sides(homography, camera[0])
-    place_m = camera and camera[2]
-    return Calibration(
-        image_px, pool_m, homography, corner_height_m, offset, place_m, lens, tag, "corners", 4, 0.0
+    blank = Calibration(image_px, pool_m, np.eye(3), lens=lens)
+    blank = replace(blank, homography=from_four(homes, blank.undistort(corners_px)))
+    made, matrix = _placed(blank, tag, corner_height_m, camera_height_m)
+    if matrix is not None:
+        scales = np.linalg.norm(np.linalg.solve(matrix, made.homography)[:, :2], axis=0)
+        stretch = float(scales[0] / scales[1])
+        if not 1.0 / SIDES_MOST < stretch < SIDES_MOST:
+            raise InputError(
+                f"the pool's length appears {stretch:.2f} times too long for its width: give --pool as "
+                f"length x width, and the corners along the length first, {ORDER}"
+            )
+    return made
+
+
+def _placed(
+    flat: Calibration, tag: Tag, height_m: float, camera_height_m: float | None
+) -> tuple[Calibration, Float64 | None]:
+    """The calibration with tag, height of its plane and camera; and the camera matrix if known."""
+    offset_m = refraction_offset_m(height_m)
+    camera = camera_of(flat.homography, flat.image_px, height_m + offset_m, flat.lens, camera_height_m)
+    matrix, _, place_m = camera or (None, None, None)
+    made = replace(
+        flat, plane_height_m=height_m, plane_refraction_offset_m=offset_m, camera_m=place_m, tag=tag
     )
-
-
-def _require_sides(homography: Float64, matrix: Float64) -> None:
-    """Raise InputError if the scales of length and width differ too much, as with swapped sides."""
-    along, across = np.linalg.norm(np.linalg.solve(matrix, homography)[:, :2], axis=0)
-    stretch = float(along / across)
-    if not 1.0 / SIDES_MOST < stretch < SIDES_MOST:
-        raise InputError(
-            f"the pool's length appears {stretch:.2f} times too long for its width: give --pool as length "
-            f"x width, and the corners along the length first, {ORDER}"
-        )
+    return made, matrix
 
 
 def calibrate_plane(
@@ -152,11 +155,8 @@ def calibrate_plane(
         image: (height, width) grey levels.
         board_at_m: (2,) its first inner corner in the pool's frame; the board lies face up, its columns along
             x, its rows towards -y.
-        pool_m: length, width.
-        tag: the tag on the robot.
         board_height_m: of its face over the water, negative under it.
-        camera_height_m: over the water; needed if tag and board differ in height and the lens is unknown.
-        lens: intrinsics, if known.
+        pool_m, tag, camera_height_m, lens: see ``calibrate_corners``.
     """
     if board.kind == "chessboard" and (board.columns + board.rows) % 2 == 0:
         raise InputError(
@@ -170,8 +170,7 @@ def calibrate_plane(
             "plane: all of it must be in sight; check --squares, light and focus"
         )
     home, seen = found
-    image_px = (image.shape[1], image.shape[0])
-    blank = Calibration(image_px, pool_m, np.eye(3), lens=lens)
+    blank = Calibration((image.shape[1], image.shape[0]), pool_m, np.eye(3), lens=lens)
     flat = blank.undistort(seen)
     on_pool = np.array(board_at_m) + home * [1.0, -1.0]
     fitted, _ = cv2.findHomography(on_pool, flat, 0)
@@ -181,9 +180,5 @@ def calibrate_plane(
         raise InputError("the board is seen mirrored: switch that off in the camera, or lay it face up")
     homography = np.asarray(fitted, dtype=np.float64)
     rms = float(np.sqrt(np.mean(np.sum((apply(homography, on_pool) - flat) ** 2, axis=1))))
-    offset = refraction_offset_m(board_height_m)
-    camera = camera_of(homography, image_px, board_height_m + offset, lens, camera_height_m)
-    place_m = camera and camera[2]
-    return Calibration(
-        image_px, pool_m, homography, board_height_m, offset, place_m, lens, tag, board.kind, len(seen), rms
-    )
+    blank = replace(blank, homography=homography, method=board.kind, points=len(seen), rms_px=rms)
+    return _placed(blank, tag, board_height_m, camera_height_m)[0]

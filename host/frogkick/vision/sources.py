@@ -29,20 +29,14 @@ STREAM_OPEN_MS, STREAM_READ_MS = 5000, 1500
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture.
+    """One picture."""
 
-    Attributes:
-        image: (height, width) grey or (height, width, 3) BGR.
-        capture_s: when it was taken: ``time.monotonic`` as the driver handed it over, for a camera (exposure
-            and transfer came before); time in the file, for the others.
-        sequence: counts from 0.
-        live: whether ``capture_s`` is on this machine's clock, so that a latency can be told.
-    """
-
-    image: UInt8
+    image: UInt8  # (height, width) grey or (height, width, 3) BGR
+    # when it was taken: ``time.monotonic`` as the driver handed it over, for a camera (exposure and transfer
+    # came before); time in the file, for the others
     capture_s: float
-    sequence: int
-    live: bool
+    sequence: int  # counts from 0
+    live: bool  # whether ``capture_s`` is on this machine's clock
 
 
 def device_frames(index: int, image_px: tuple[int, int] | None = None) -> Iterator[Frame]:

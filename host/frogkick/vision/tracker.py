@@ -6,7 +6,6 @@ within the pool, and printed like the template. Otherwise an ``Observation`` has
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -51,7 +50,6 @@ class Observation:
     pose: Pose | None  # the robot's; None without a tag to be trusted
     reason: Reason  # ``found``, or why there is no pose
     capture_s: float  # capture time on the source's clock
-    latency_s: float = float("nan")  # from the capture to this result; NaN for recorded pictures
     corners_px: Float64 | None = None  # (4, 2) of the tag, in the printed picture's order; None without a tag
     residual: float = float("nan")  # of the fit, over the contrast; NaN without a fit
     windowed: bool = False  # whether the tag was found around its last place
@@ -78,15 +76,13 @@ class Tracker:
         """Search the next frame completely."""
         self._last = None
 
-    def observe(self, image: UInt8, capture_s: float, clock_s: float | None = None) -> Observation:
+    def observe(self, image: UInt8, capture_s: float) -> Observation:
         """Search a frame for the tag.
 
         Args:
             image: (height, width) grey or (height, width, 3) BGR, of the calibration's size.
             capture_s: its capture time.
-            clock_s: the source's clock now, for the latency; None: no latency.
         """
-        started = time.perf_counter()
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         width, height = self._calibration.image_px
         if grey.shape != (height, width):
@@ -96,10 +92,7 @@ class Tracker:
             )
         seen = self._look(np.ascontiguousarray(grey), capture_s)
         self._last = seen.corners_px if seen.pose is not None else None
-        if clock_s is None:
-            return seen
-        latency = clock_s - capture_s + (time.perf_counter() - started)
-        return replace(seen, latency_s=latency)
+        return seen
 
     def _look(self, grey: UInt8, capture_s: float) -> Observation:
         if self._last is not None:
@@ -127,7 +120,7 @@ class Tracker:
         fit = clear[0]
 
         def refuse(reason: Reason) -> Observation:
-            return Observation(None, reason, capture_s, float("nan"), fit.corners_px, fit.residual)
+            return Observation(None, reason, capture_s, fit.corners_px, fit.residual)
 
         pose = solve_pose(self._calibration, fit.corners_px, fit.covariance_px2, capture_s)
         if pose is None:
@@ -143,7 +136,7 @@ class Tracker:
         x, y, _ = tag_place(self._calibration, pose.x_m, pose.y_m, pose.heading_rad)
         if not (-MARGIN_M <= x <= length + MARGIN_M and -MARGIN_M <= y <= width + MARGIN_M):
             return refuse("outside the pool")
-        return Observation(pose, "found", capture_s, float("nan"), fit.corners_px, fit.residual)
+        return Observation(pose, "found", capture_s, fit.corners_px, fit.residual)
 
     def _undecoded(self, grey: UInt8, squares: list[Float64], clear: list[Fit]) -> list[Fit]:
         """Tags among dark squares whose cells are too small or too blurred to be decoded."""

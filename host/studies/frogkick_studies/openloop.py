@@ -20,7 +20,6 @@ from frogkick.core.progress import shown
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
-from frogkick.validation.validate import authors_rmse_mps, speed_rmse_mps
 from frogkick_studies import Found
 from frogkick_studies.configs import Openloop
 from frogkick_studies.fits import OpenLoop, Predicted, Split, open_loop, rmse_by_group
@@ -52,8 +51,8 @@ class OpenLoopStudy(Found):
         return {
             "robot": validation.robot.id,
             "nominal": {
-                "rmse_mps": {g: v for g, v in speed_rmse_mps(validation).items() if g.startswith(group)},
-                "authors_rmse_mps": authors_rmse_mps(validation),
+                "rmse_mps": {g: v for g, v in validation.speed_rmse_mps.items() if g.startswith(group)},
+                "authors_rmse_mps": validation.authors_rmse_mps,
             },
             "noise_floor_mps": self.found.noise.neighbours,
             "test": _errors(pooled[next(iter(kinds))]),

@@ -9,6 +9,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +23,18 @@ from frogkick.effects.registry import make_effects
 from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.segments import read_segments
 from frogkick.library import default_table
-from frogkick.paths import SHAPES
+from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import config_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_check import ChipReport, check_on_chip
-from frogkick.runs.closed_loop import RunOptions
 from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.record import RunOptions
 from frogkick.runs.replay import compare, replay_on_host
+from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
-from frogkick.runs.summary import Residual, residual
-from frogkick.runs.trial import Trial, swim
+from frogkick.runs.summary import Residual, residual, tracking_of_log
+from frogkick.runs.trial import swim
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.emit import emit
 from frogkick_codegen.firmware import Firmware, build
@@ -42,11 +44,21 @@ HELD_OUT = "bends"
 
 
 @dataclass(frozen=True, eq=False)
-class RingRun(Trial):
-    """A run along one path: in how many decisions chip and twin differ, and the table's prediction errors."""
+class RingRun:
+    """A run along one path, and in how many decisions chip and twin differ."""
 
+    log: RunLog
     mismatches: int
-    missed: Residual
+
+    @property
+    def tracking(self) -> Tracking:
+        """How well it followed its path."""
+        return tracking_of_log(self.log)
+
+    @cached_property
+    def missed(self) -> Residual:
+        """The table's prediction errors."""
+        return residual(self.log)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +75,15 @@ class Closing:
 
     planted: dict[str, Any]
     outcome: Outcome
-    old: list[Trial]
-    learned: list[Trial]
-    new: list[Trial]
+    old: list[RunLog]
+    learned: list[RunLog]
+    new: list[RunLog]
 
     @staticmethod
-    def distance_m(runs: Sequence[Trial]) -> float:
+    def distance_m(runs: Sequence[RunLog]) -> float:
         """Return the mean over runs of the mean distance to the path; NaN without runs."""
-        return float(np.mean([run.tracking.mean_distance_m for run in runs])) if runs else float("nan")
+        distances_m = [tracking_of_log(run).mean_distance_m for run in runs]
+        return float(np.mean(distances_m)) if runs else float("nan")
 
     def as_json(self) -> dict[str, Any]:
         """Errors one period ahead on the test run, identified effects, and distances to the paths."""
@@ -189,13 +202,9 @@ def go_round(
 
 def _swim(ring: Ring, name: str, seed: int, progress: Callable[[int, int], None]) -> RingRun:
     port = VirtualRobot(ring.built.image, len(ring.robot.limbs))
-    trial = swim(port, ring.tables, ring.robot, name, ring.options, seed, "demo", progress=progress)
-    assert trial.log.path is not None
-    again = replay_on_host(
-        trial.recording.events, DecisionTwin(ring.tables, trial.log.path, ring.options.config)
-    )
-    mismatches = len(compare(trial.recording.decisions, again))
-    return RingRun(**vars(trial), mismatches=mismatches, missed=residual(trial.log))
+    swum = swim(port, ring.tables, ring.robot, shape(name), ring.options, seed, "demo", progress=progress)
+    again = replay_on_host(swum.events, DecisionTwin(ring.tables, swum.path, ring.options.config))
+    return RingRun(swum.log(), len(compare(swum.decisions, again)))
 
 
 def plant(robot: Robot, seed: int) -> dict[str, Any]:
@@ -223,25 +232,25 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
     paths = [run.log.path.name for run in ring.runs if run.log.path is not None]
     planted = plant(robot, seed)
 
-    def swum(image: Path, with_tables: Tables, name: str, title: str, learn: bool = False) -> Trial:
+    def swum(image: Path, with_tables: Tables, name: str, title: str, learn: bool = False) -> RunLog:
         with bar(f"{title}, the {name}: path points") as progress:
             return swim(
                 VirtualRobot(image, len(robot.limbs)),
                 with_tables,
                 robot,
-                name,
+                shape(name),
                 dataclasses.replace(options, learn=learn),
                 [seed, 1],
                 "demo",
                 World(make_effects([planted], Path())),
-                progress,
-            )
+                progress=progress,
+            ).log()
 
     logs, old = [], []
     for name in (*paths, held_out):
         run = swum(ring.built.image, tables, name, "swim with a worn limb")
         logs.append(out / f"worn-{name}.h5")
-        write_run(logs[-1], dataclasses.replace(run.log, truth=None))
+        write_run(logs[-1], dataclasses.replace(run, truth=None))
         old.append(run)
     clock.lap("swim with a worn limb")
     learned = [swum(ring.built.image, tables, name, "swim and learn", learn=True) for name in paths]

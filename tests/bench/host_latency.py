@@ -26,10 +26,11 @@ from tests.vision.scenes import calibration
 from frogkick.front.bench import Sight
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import lab_session
 from frogkick.runs.live_log import logged
+from frogkick.runs.record import RunOptions
 from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.sources import Frame
 
@@ -55,7 +56,7 @@ def main(seconds: float) -> None:
         robot = LiveRobot()
         with (
             rigged("serial", robot, Path(folder), patch) as there,
-            logged(Path(folder) / "run.h5", rig.robot(), rig.tables(), path, options, "bench") as keep,
+            logged(Path(folder) / "run.h5", rig.recording(path, options)) as keep,
         ):
             camera = CameraFixes(filmed(), calibration(SCENE), "camera")
             camera.wait_first(10.0)
@@ -69,7 +70,7 @@ def main(seconds: float) -> None:
                 return sequence
 
             session.post = timed_post
-            recording = run_session(session, camera, rig.tables(), path, options, keep=keep)
+            recording = run_session(session, camera, rig.recording(path, options), keep=keep)
             camera.close()
     period_s = rig.tables().period_us * 1e-6
     due_s = recording.first_decision_s + period_s * np.arange(len(recording.decisions))

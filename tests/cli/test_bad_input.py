@@ -15,9 +15,7 @@ from tests.conftest import some
 from tests.runs import rig
 
 from frogkick.library import build_library
-from frogkick.paths import shape
 from frogkick.robot import load_robot
-from frogkick.runs.record import run_log
 from frogkick.runs.runlog_file import write_run
 from frogkick.tables.layout import FORMAT_VERSION
 
@@ -30,8 +28,8 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stock")
     build_library(rig.robot(), states=2, seed=5, workers=1, out=folder / "lib.h5")
     shutil.copy(rig.small_table(), folder / "x.fkt")
-    recording, pool, options = rig.swim("pool", "line", 2.5)
-    log = run_log(recording, pool, rig.robot(), rig.tables(), shape("line"), options, 0, "test")
+    recording = rig.swim("pool", "line", 2.5)
+    log = recording.log()
     write_run(folder / "run.h5", log)
     write_run(folder / "pathless.h5", dataclasses.replace(log, path=None))
     write_run(folder / "foreign_robot.h5", dataclasses.replace(log, robot_id="newt"))

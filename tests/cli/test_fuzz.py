@@ -16,9 +16,7 @@ from tests.runs import rig
 
 from frogkick.cli.main import run_command
 from frogkick.library import build_library
-from frogkick.paths import shape
 from frogkick.robot import load_robot
-from frogkick.runs.record import run_log
 from frogkick.runs.runlog_file import write_run
 
 
@@ -28,8 +26,8 @@ def stock() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         build_library(rig.robot(), states=2, seed=5, workers=1, out=folder / "lib.h5")
-        recording, pool, options = rig.swim("pool", "line", 2.5)
-        log = run_log(recording, pool, rig.robot(), rig.tables(), shape("line"), options, 0, "test")
+        recording = rig.swim("pool", "line", 2.5)
+        log = recording.log()
         write_run(folder / "run.h5", log)
         shutil.copy(rig.small_table(), folder / "x.fkt")
         (folder / "robot.toml").write_text(load_robot("frog2022").toml)

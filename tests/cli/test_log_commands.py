@@ -13,17 +13,15 @@ from tests.conftest import from_ci
 from tests.runs import rig
 
 from frogkick.cli.main import run_command
-from frogkick.paths import shape
 from frogkick.report.run_figure import compare_figure
-from frogkick.runs.record import run_log
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.summary import compare_runs, summary
 
 
 def swum(path: str, seconds: float) -> RunLog:
-    recording, pool, options = rig.swim("pool", path, seconds)
-    return run_log(recording, pool, rig.robot(), rig.tables(), shape(path), options, 0, "test")
+    recording = rig.swim("pool", path, seconds)
+    return recording.log()
 
 
 @pytest.fixture(scope="module")

@@ -16,27 +16,26 @@ from tests.runs import rig
 import frogkick as fk
 from frogkick.core.files import sole_writer
 from frogkick.front.run_progress import RunProgress
-from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, STOPPED, TIME, Recording
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, STOPPED, TIME
 from frogkick.runs.decision import LiveCheck
+from frogkick.runs.record import RunOptions
 
 
 def test_progress_comes_with_the_plan_its_cost_and_the_distance() -> None:
     said: list[tuple[int, int, str]] = []
     check = LiveCheck()
-    alone = RunProgress(
-        lambda done, whole, note="": said.append((done, whole, note)), 100, rig.tables(), None
-    )
-    checked = RunProgress(
-        lambda done, whole, note="": said.append((done, whole, note)), 100, rig.tables(), check
+    growing = rig.recording(shape("line"), RunOptions(PlanConfig()))
+    alone, checked = (
+        RunProgress(lambda done, whole, note="": said.append((done, whole, note)), one)
+        for one in (growing, dataclasses.replace(growing, options=RunOptions(PlanConfig(), check=check)))
     )
     alone.progress(0.0, 4)
-    recording, _, _ = rig.swim("pool", "line", 3.0)
+    recording = rig.swim("pool", "line", 3.0)
     made = dataclasses.replace(
         recording.decisions[-1], status=0, action=1, cost=np.float32(12.34), distance_m=np.float32(0.0066)
     )
-    growing = Recording()
-    alone.keep(growing)
-    checked.keep(growing)
     growing.decisions.append(made)
     alone.progress(1.0, 9)
     check.agreed = 2

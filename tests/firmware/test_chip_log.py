@@ -15,7 +15,8 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.runs.chip_log import LogReplay, replay_log
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import Session
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
@@ -31,9 +32,7 @@ def swum() -> tuple[VirtualRobot, Session, Recording]:
     recording = run_session(
         Session(port),
         rig.new_pool("sine"),
-        rig.tables(),
-        shape("sine"),
-        RunOptions(PlanConfig(depth=2), True, seconds),
+        rig.recording(shape("sine"), RunOptions(PlanConfig(depth=2), True, seconds)),
     )
     session = Session(port, time_s=recording.end_s + 1.0, conversation=2)
     session.handshake(rig.tables())

@@ -14,8 +14,9 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.runs.chip_log import replay_log
-from frogkick.runs.closed_loop import ENDED, RunOptions, run_session
+from frogkick.runs.closed_loop import ENDED, run_session
 from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.record import RunOptions
 from frogkick.runs.replay import compare, replay_on_host
 from frogkick.runs.session import Session
 
@@ -119,7 +120,7 @@ def test_a_run_ends_where_the_supply_falls(onboard: bool) -> None:
 
     options = RunOptions(PlanConfig(depth=1), onboard, 30.0)
     recording = run_session(
-        Session(port), rig.new_pool("line"), rig.tables(), shape("line"), options, progress
+        Session(port), rig.new_pool("line"), rig.recording(shape("line"), options), progress
     )
     assert recording.ended == ENDED["SUPPLY"] and not recording.completed
     assert recording.end_s < made[2] + 3.0

@@ -18,10 +18,10 @@ from frogkick.front.courses import held, hold_json, hold_radius_m, require_room,
 from frogkick.paths import line
 from frogkick.paths.hold import LAP_POINTS
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import RunOptions
 from frogkick.runs.decision import Decision
 from frogkick.runs.live_log import SPEED_MAX_MPS, logged
 from frogkick.runs.path_change import AGAIN_POINTS, SHIFT_GAIN, SHIFT_MAX_M, Holding
+from frogkick.runs.record import RunOptions
 from frogkick.runs.runlog_file import read_run
 
 HOLD_S = 80.0
@@ -174,7 +174,7 @@ def test_a_log_in_progress_has_room_for_its_paths(tmp_path: Path, swum: Path) ->
     whole = read_run(swum)
     options = RunOptions(PlanConfig(), time_limit_s=HOLD_S, hold_m=0.075)
     assert whole.path is not None
-    with logged(tmp_path / "a.h5", rig.robot(), rig.tables(), whole.path, options, "test"):
+    with logged(tmp_path / "a.h5", rig.recording(whole.path, options)):
         assert read_run(tmp_path / "a.h5.part").then == ()
         with h5py.File(tmp_path / "a.h5.part", "r", swmr=True) as file:
             room = sum(name.isdigit() for name in file["then"])

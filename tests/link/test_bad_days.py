@@ -29,9 +29,10 @@ from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs import session as session_module
-from frogkick.runs.closed_loop import ENDED, FixSource, Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import ENDED, FixSource, run_session
 from frogkick.runs.lab_session import CLOCK_SAMPLES, LabPort, LabSession, lab_session
 from frogkick.runs.live_log import LiveLog, logged, part_of
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
 from frogkick.runs.tracked_fixes import CameraFixes
@@ -68,9 +69,9 @@ class Day:
         options: RunOptions = OPTIONS,
         decided: Callable[[], None] = lambda: None,
     ) -> Recording:
-        with logged(self.folder / "run.h5", rig.robot(), rig.tables(), path, options, "test") as keep:
+        with logged(self.folder / "run.h5", rig.recording(path, options)) as keep:
             return run_session(
-                self.session, source, rig.tables(), path, options, lambda _t, _i: decided(), keep
+                self.session, source, rig.recording(path, options), lambda _t, _i: decided(), keep
             )
 
     def fails(self, error: type[FrogkickError], words: str, go: Callable[[], object]) -> None:

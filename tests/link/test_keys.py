@@ -19,8 +19,9 @@ from frogkick.cli.run import Keys
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import STOPPED, RunOptions, run_session
+from frogkick.runs.closed_loop import STOPPED, run_session
 from frogkick.runs.lab_session import LabPort, LabSession
+from frogkick.runs.record import RunOptions
 
 PERIOD_S = rig.PERIOD_S
 STATE = link_layout().state
@@ -91,7 +92,7 @@ def test_a_key_ends_the_run_disarmed_with_its_log(
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         source = LivePool(robot.pulses, robot.clock)
-        recording = run_session(session, source, rig.tables(), shape(PATH), options)
+        recording = run_session(session, source, rig.recording(shape(PATH), options))
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
     assert recording.ended == STOPPED
     assert len(asked) == 1, "it is asked no more once it has stopped"

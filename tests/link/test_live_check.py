@@ -18,10 +18,11 @@ from frogkick.core.errors import CheckError, InputError
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import TIME, RunOptions, run_session
+from frogkick.runs.closed_loop import TIME, run_session
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.lab_session import LabPort, LabSession
 from frogkick.runs.live_log import logged, part_of
+from frogkick.runs.record import RunOptions
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, open_image
@@ -33,7 +34,7 @@ STATE = link_layout().state
 @functools.cache
 def image_with_one_entry_changed() -> bytes:
     """The small table, but for the transition that its second decision takes; its CRC-32 is right."""
-    recording, _, _ = rig.swim("pool", PATH, 2.0)
+    recording = rig.swim("pool", PATH, 2.0)
     entry = (recording.decisions[1].nearest_state, recording.decisions[1].action)
     ours = rig.tables()
     for at in range(ours.sections.models, ours.sections.length):
@@ -70,7 +71,7 @@ def test_host_and_robot_agree(transport: str, tmp_path: Path, monkeypatch: pytes
         source = LivePool(robot.pulses, robot.clock)
         path = shape(PATH)
         recording = run_session(
-            session, source, rig.tables(), path, options, lambda _t, _i: told.append(check.text)
+            session, source, rig.recording(path, options), lambda _t, _i: told.append(check.text)
         )
     assert recording.ended == TIME and len(recording.decisions) == 3
     assert check.as_json() == {"decisions_checked": 3, "decisions_unchecked": 0, "mismatches": 0}
@@ -86,9 +87,9 @@ def test_another_entry_in_the_robot_s_table_ends_the_run(
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         source = LivePool(robot.pulses, robot.clock)
-        log = logged(tmp_path / "run.h5", rig.robot(), rig.tables(), shape(PATH), options, "test")
+        log = logged(tmp_path / "run.h5", rig.recording(shape(PATH), options))
         with log as keep, pytest.raises(CheckError, match=r"decision \d+ .* every bit") as said:
-            run_session(session, source, rig.tables(), shape(PATH), options, keep=keep)
+            run_session(session, source, rig.recording(shape(PATH), options), keep=keep)
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
     assert "\n" not in str(said.value) and "did not confirm DISARM" not in str(said.value)
     assert robot.off_at and "DISARM" in robot.names()
@@ -110,7 +111,7 @@ def test_after_a_drop_nothing_is_compared_and_that_is_told(
                 there.drop()
 
         source = LivePool(robot.pulses, robot.clock)
-        run_session(session, source, rig.tables(), shape(PATH), options, drop)
+        run_session(session, source, rig.recording(shape(PATH), options), drop)
     assert (check.agreed, check.unchecked) == (1, 1)
     assert check.text == "host agrees with 1 decisions, 1 not compared after a gap"
 
@@ -144,5 +145,5 @@ def test_a_mismatch_is_a_check_that_failed(
 def test_the_chip_is_checked_too() -> None:
     check = LiveCheck()
     options = RunOptions(PlanConfig(depth=2), True, 3.0, check)
-    run_session(Session(rig.port("virtual")), rig.new_pool("sine"), rig.tables(), shape("sine"), options)
+    run_session(Session(rig.port("virtual")), rig.new_pool("sine"), rig.recording(shape("sine"), options))
     assert check.agreed >= 2 and check.unchecked == 0

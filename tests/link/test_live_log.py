@@ -24,11 +24,11 @@ from frogkick.core.errors import InputError
 from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import Decision
 from frogkick.runs.lab_session import lab_session
 from frogkick.runs.live_log import CUT_OFF, LiveLog, logged, part_of
-from frogkick.runs.record import BATTERY_V, lost_of, run_log
+from frogkick.runs.record import BATTERY_V, Recording, RunOptions, lost_of
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import read_run, write_run
 
@@ -49,7 +49,7 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
     robot, target, seen = LiveRobot(), tmp_path / "run.h5", []
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         known = {BATTERY_V: 11.7}
-        with logged(target, rig.robot(), rig.tables(), shape(PATH), OPTIONS, "test", known) as keep:
+        with logged(target, rig.recording(shape(PATH), OPTIONS, known=known)) as keep:
 
             def keep_and_look(recording: Recording) -> None:
                 keep(recording)
@@ -58,11 +58,11 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
 
             session = lab_session(there.wire)
             recording = run_session(
-                session, LivePool(robot.pulses), rig.tables(), shape(PATH), OPTIONS, keep=keep_and_look
+                session, LivePool(robot.pulses), rig.recording(shape(PATH), OPTIONS), keep=keep_and_look
             )
             keep(recording)
     assert len(recording.decisions) == 2 and len(seen) > 2 and seen == sorted(seen)
-    whole = run_log(recording, None, rig.robot(), rig.tables(), shape(PATH), OPTIONS, None, "test")
+    whole = recording.log()
     live = read_run(part_of(target))
     assert live.measured == {BATTERY_V: 11.7}, "known before it began"
     same_columns(live, whole, "fixes")
@@ -100,12 +100,13 @@ def test_a_killed_run_leaves_what_it_had_recorded(tmp_path: Path, capsys: pytest
 def test_a_log_in_progress_tells_what_limbs_have_lost(tmp_path: Path) -> None:
     options, target = replace(OPTIONS, learn=True), tmp_path / "run.h5"
     lost = [(0,) * 8, (300, 0, 20_000, 0, 0, 0, 0, 0)]
-    recording = Recording(decisions=[Decision(0, 0, 10**6 * (at + 1), lost=lost[at]) for at in range(2)])
-    with logged(target, rig.robot(), rig.tables(), shape(PATH), options, "test") as keep:
+    recording = rig.recording(shape(PATH), options)
+    with logged(target, recording) as keep:
+        recording.decisions += [Decision(0, 0, 10**6 * (at + 1), lost=lost[at]) for at in range(2)]
         keep(recording)
     live = read_run(part_of(target))
     assert live.decisions.extra["lost"].tolist() == [list(row) for row in lost]
-    whole = run_log(recording, None, rig.robot(), rig.tables(), shape(PATH), options, None, "test")
+    whole = recording.log()
     names = [limb.name for limb in rig.robot().limbs]
     assert (
         lost_of(live)
@@ -117,8 +118,7 @@ def test_a_log_in_progress_tells_what_limbs_have_lost(tmp_path: Path) -> None:
 
 @contextmanager
 def empty_log(tmp_path: Path) -> Iterator[LiveLog]:
-    empty = run_log(Recording(), None, rig.robot(), rig.tables(), shape(PATH), OPTIONS, None, "test")
-    live = LiveLog(tmp_path / "run.h5", empty, True)
+    live = LiveLog(tmp_path / "run.h5", rig.recording(shape(PATH), OPTIONS).log())
     try:
         yield live
     finally:
@@ -126,7 +126,7 @@ def empty_log(tmp_path: Path) -> Iterator[LiveLog]:
 
 
 def test_a_log_cut_amid_a_row_is_read_up_to_the_row_before(tmp_path: Path) -> None:
-    recording, _, _ = rig.swim("pool", PATH, 4.0)
+    recording = rig.swim("pool", PATH, 4.0)
     with empty_log(tmp_path) as live:
         live.keep(recording)
     whole = read_run(live.path)
@@ -140,13 +140,13 @@ def test_a_log_cut_amid_a_row_is_read_up_to_the_row_before(tmp_path: Path) -> No
 
 def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
-    log = logged(tmp_path / "file" / "run.h5", rig.robot(), rig.tables(), shape(PATH), OPTIONS, "test")
+    log = logged(tmp_path / "file" / "run.h5", rig.recording(shape(PATH), OPTIONS))
     with pytest.raises(InputError, match="choose another --out"), log:
         pass
 
 
 def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recording, _, _ = rig.swim("pool", PATH, 4.0)
+    recording = rig.swim("pool", PATH, 4.0)
 
     def full(*_values: object, **_more: object) -> None:
         raise OSError(28, "No space left on device")

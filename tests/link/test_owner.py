@@ -26,9 +26,10 @@ from frogkick.link.pty_line import PtyLine
 from frogkick.link.upload import upload
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.lab_session import LabPort, LabSession, lab_session
 from frogkick.runs.pushing import own
+from frogkick.runs.record import RunOptions
 from frogkick.runs.session import LinkError
 
 OLD, NEW = (synthetic.affine_image(20, 9, seed) for seed in (1, 2))
@@ -178,7 +179,7 @@ def test_a_run_of_its_owner(transport: str, tmp_path: Path, monkeypatch: pytest.
         own(session)
         source = LivePool(robot.pulses, robot.clock)
         options = RunOptions(PlanConfig(depth=2), True, 1.5 * period_s)
-        recording = run_session(session, source, rig.tables(), shape(PATH), options)
+        recording = run_session(session, source, rig.recording(shape(PATH), options))
     assert len(recording.decisions) == 2 and recording.fix_status.count(0) > 10 and robot.pulses
 
 

@@ -30,10 +30,9 @@ from frogkick.front.bench import Sight
 from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.robot import load_robot
-from frogkick.runs.closed_loop import ENDED, TIME, RunOptions, run_session
+from frogkick.runs.closed_loop import ENDED, TIME, run_session
 from frogkick.runs.lab_session import lab_session
-from frogkick.runs.record import tracking_of_recording
+from frogkick.runs.record import RunOptions
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.summary import summary
 from frogkick.runs.tracked_fixes import CameraFixes
@@ -82,14 +81,14 @@ def test_a_run_by_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         camera = CameraFixes(iter(Filmed(robot)), calibration(SCENE), "camera")
         try:
             camera.wait_first(120.0)
-            recording = run_session(lab_session(there.wire), camera, rig.tables(), path, options)
+            recording = run_session(lab_session(there.wire), camera, rig.recording(path, options))
         finally:
             camera.close()
     assert recording.ended == TIME and len(recording.decisions) == 3
     assert all(decision.status == 0 for decision in recording.decisions)
     assert len({at_s for at_s, _, _ in robot.pulses}) >= 3
     assert recording.fix_status.count(0) >= 0.9 * len(recording.fixes) > 20
-    tracked = tracking_of_recording(recording, None, rig.robot(), path)
+    tracked = recording.tracking()
     assert tracked.mean_distance_m < 0.02 and tracked.progress_mps > 0.005
     assert camera.reasons["found"] >= 0.95 * sum(camera.reasons.values())
 
@@ -123,7 +122,6 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
     monkeypatch.setattr(bench, "warm_up", warmed)
     monkeypatch.setattr(bench, "tree_of", lambda *_given: done.append("what a page draws"))
     monkeypatch.setattr(Sight, "opened", opened)
-    tables, path, options = rig.tables(), shape("line"), RunOptions(PlanConfig(depth=1), True)
     for drawn, compiled in ((False, []), (True, ["planner", "what a page draws"])):
         done.clear()
         lab = bench.Bench("serial:frog", "frogkick", Sight("camera.toml"), 12.0, drawn=drawn)
@@ -131,10 +129,7 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
             bench.run_on_bench(
                 lab,
                 rig.small_table(),
-                load_robot("frog2022"),
-                tables,
-                path,
-                options,
+                rig.recording(shape("line"), RunOptions(PlanConfig(depth=1))),
                 lambda *_: nullcontext(),
                 print,
             )

@@ -34,11 +34,11 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.runs.closed_loop import DROPPED, ENDED, TIME, RunOptions, run_session
+from frogkick.runs.closed_loop import DROPPED, ENDED, TIME, run_session
 from frogkick.runs.decision import DecisionTwin, LiveCheck
 from frogkick.runs.lab_session import LabPort, LabSession
 from frogkick.runs.path_change import NextPath
-from frogkick.runs.record import run_log, tracking_of_recording
+from frogkick.runs.record import RunOptions
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
 from frogkick.runs.text_robot import TextRobot
@@ -65,16 +65,16 @@ def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytes
     with rigged(transport, robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         source = LivePool(robot.pulses, robot.clock)
-        recording = run_session(session, source, rig.tables(), shape(PATH), options)
+        recording = run_session(session, source, rig.recording(shape(PATH), options))
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
     assert recording.ended == TIME and len(recording.decisions) == 3
     assert any(decision.status == 0 for decision in recording.decisions)
     assert recording.fix_status.count(0) > 20
     assert len(robot.pulses) >= 3 and violations(rig.robot(), seen_pulses(robot.pulses)) == []
-    tracked = tracking_of_recording(recording, None, rig.robot(), shape(PATH))
+    tracked = recording.tracking()
     assert tracked.mean_distance_m < 0.02 and tracked.progress_mps > 0.005
     assert tracked.limit_violations is None
-    log = run_log(recording, None, rig.robot(), rig.tables(), shape(PATH), options, None, "test")
+    log = recording.log()
     at_s = log.decisions.time_s  # on the fixes' clock: each decision rests on fixes not long before it
     assert np.all(np.diff(at_s) == pytest.approx(PERIOD_S, abs=1e-6))
     rests = log.decisions.fix_sequence >= 0  # on a busy machine one may find no fix young enough
@@ -108,7 +108,7 @@ def test_a_path_takes_over_though_a_part_of_it_is_lost(
     with rigged(transport, robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         source = LivePool(robot.pulses, robot.clock)
-        recording = run_session(session, source, rig.tables(), line, options)
+        recording = run_session(session, source, rig.recording(line, options))
         assert session.port.resent >= 1
     assert lost == ["PATH"]
     assert [(change.path, change.decision) for change in recording.then] == [(beside, 1)]
@@ -130,7 +130,7 @@ def test_a_run_goes_on_through_a_drop(
                 there.drop()
 
         recording = run_session(
-            session, LivePool(robot.pulses, robot.clock), rig.tables(), shape(PATH), options, drop
+            session, LivePool(robot.pulses, robot.clock), rig.recording(shape(PATH), options), drop
         )
         assert there.wire.connections == 2
     assert recording.ended == TIME and len(recording.decisions) == 2
@@ -151,7 +151,7 @@ def test_a_robot_that_restarts_in_a_drop_has_ended_its_run(
 
         pool = LivePool(robot.pulses, robot.clock)
         try:
-            ended = run_session(session, pool, rig.tables(), shape(PATH), options, power).ended
+            ended = run_session(session, pool, rig.recording(shape(PATH), options), power).ended
         except LinkError as error:  # it asked for the time between the restart and the drop
             ended = DROPPED if "restarted during the run" in str(error) else str(error)
     assert ended == DROPPED
@@ -172,7 +172,7 @@ def test_whatever_ends_a_run_disarms_first(
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         with pytest.raises(RuntimeError, match="the camera is gone"):
-            run_session(session, Breaks(robot.pulses, robot.clock), rig.tables(), shape(PATH), options)
+            run_session(session, Breaks(robot.pulses, robot.clock), rig.recording(shape(PATH), options))
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
     assert "DISARM" in robot.names()
 
@@ -189,7 +189,7 @@ def test_a_robot_that_does_not_say_so_is_told_of(tmp_path: Path, monkeypatch: py
 
         with pytest.raises(LinkError, match="interrupted; the robot did not confirm DISARM: switch"):
             run_session(
-                session, LivePool(robot.pulses, robot.clock), rig.tables(), shape(PATH), options, fall_silent
+                session, LivePool(robot.pulses, robot.clock), rig.recording(shape(PATH), options), fall_silent
             )
 
 
@@ -205,7 +205,7 @@ def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
         core = TextRobot(wire, NativeRobot(rig.firmware("native").image, 4), rig.robot(), frog.clock)
         session = LabSession(core)
         recording = run_session(
-            session, LivePool(frog.pulses, frog.clock), rig.tables(), shape(PATH), options
+            session, LivePool(frog.pulses, frog.clock), rig.recording(shape(PATH), options)
         )
         fired = len(frog.pulses)
         # A host that asks for more than the limits allow gets what they allow.
@@ -225,7 +225,7 @@ def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
     booked = [(edge.time_s, edge.limb) for edge in session.edges if edge.level]
     masks = [sum(1 << limb for at, limb in booked if at == at_s) for at_s in sorted({at for at, _ in booked})]
     assert [limb_mask for _, limb_mask, _ in frog.pulses] == masks
-    tracked = tracking_of_recording(recording, None, rig.robot(), shape(PATH))
+    tracked = recording.tracking()
     assert tracked.limit_violations == 0
 
 

@@ -18,11 +18,9 @@ from tests.runs import rig
 
 from frogkick.core.errors import InputError
 from frogkick.core.progress import progress_bar
-from frogkick.paths import shape
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import figure_uri
-from frogkick.runs.record import run_log
 from frogkick.runs.runlog import RunLog
 
 # What a page can fetch from elsewhere.
@@ -63,8 +61,8 @@ def self_contained(page: str) -> Links:
 
 @functools.cache
 def short_run() -> RunLog:
-    recording, pool, options = rig.swim("pool", "sine", 6.0)
-    return run_log(recording, pool, rig.robot(), rig.tables(), shape("sine"), options, 0, "test")
+    recording = rig.swim("pool", "sine", 6.0)
+    return recording.log()
 
 
 @functools.cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from frogkick.core.poses import Fix
 from frogkick.front.tables import default_tables
 from frogkick.link.wire import RobotPort
+from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Camera
@@ -20,7 +21,8 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import Firmware, build
@@ -83,6 +85,14 @@ def new_pool(path_name: str, seed: int = 0, start_at: int = 0) -> FadingPool:
     return FadingPool(robot(), start, Camera(), np.random.default_rng(seed))
 
 
+def recording(
+    path: SwimPath, options: RunOptions, pool: Pool | None = None, known: Mapping[str, float] | None = None
+) -> Recording:
+    """A run of the small table that is to begin."""
+    seed = None if pool is None else 0
+    return Recording(robot(), tables(), path, options, "test", seed, known or {}, pool=pool)
+
+
 def swim(
     place: str,
     path_name: str,
@@ -91,12 +101,12 @@ def swim(
     onboard: bool = True,
     pool: Pool | None = None,
     progress: Callable[[float, int], None] = lambda _time_s, _index: None,
-) -> tuple[Recording, Pool, RunOptions]:
+) -> Recording:
     """A run in the pool."""
     chosen = new_pool(path_name) if pool is None else pool
     options = RunOptions(PlanConfig(depth=depth), onboard, limit_s)
-    recording = run_session(Session(port(place)), chosen, tables(), shape(path_name), options, progress)
-    return recording, chosen, options
+    begun = recording(shape(path_name), options, chosen)
+    return run_session(Session(port(place)), chosen, begun, progress)
 
 
 def changed_image(at: int, content: bytes) -> bytes:

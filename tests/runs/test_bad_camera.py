@@ -12,10 +12,8 @@ from tests.runs import rig
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
-from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import DecisionTwin
-from frogkick.runs.record import run_log, tracking_of_recording
+from frogkick.runs.record import Recording
 from frogkick.runs.replay import compare, replay, replay_on_host
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import true_poses_at
@@ -31,22 +29,24 @@ def bad_pool(path_name: str, camera: Camera = BAD, seed: int = 0) -> rig.FadingP
 
 
 @functools.cache
-def run(place: str, onboard: bool = True) -> tuple[Recording, Pool, RunOptions]:
+def run(place: str, onboard: bool = True) -> Recording:
     return rig.swim(place, "ellipse", 14.0, onboard=onboard, pool=bad_pool("ellipse"))
 
 
 def log_of(place: str, onboard: bool = True) -> RunLog:
-    recording, pool, options = run(place, onboard)
-    return run_log(recording, pool, rig.robot(), rig.tables(), shape("ellipse"), options, 0, "test")
+    recording = run(place, onboard)
+    return recording.log()
 
 
 @from_ci
 @pytest.mark.parametrize("place", ["virtual", "pool"])
 def test_every_decision_on_board_is_the_twins(place: str) -> None:
-    recording, _, options = run(place)
+    recording = run(place)
     assert len(recording.decisions) >= 9
     assert {0, STATUS["DOUBLE"], STATUS["OUTLIER"]} <= set(recording.fix_status)
-    again = replay_on_host(recording.events, DecisionTwin(rig.tables(), shape("ellipse"), options.config))
+    again = replay_on_host(
+        recording.events, DecisionTwin(rig.tables(), shape("ellipse"), recording.options.config)
+    )
     assert compare(recording.decisions, again) == []
 
 
@@ -62,8 +62,8 @@ def test_the_state_at_decision_time_is_near_the_truth(onboard: bool) -> None:
 
 
 def test_fixes_lost_are_those_that_the_robot_refused() -> None:
-    recording, pool, _ = run("pool")
-    tracked = tracking_of_recording(recording, pool, rig.robot(), shape("ellipse"))
+    recording = run("pool")
+    tracked = recording.tracking()
     refused = [status for status in recording.fix_status if status is not None and status < 0]
     assert tracked.fixes_lost == recording.fixes_refused
     assert len(refused) <= tracked.fixes_lost <= len(refused) + 3, (
@@ -85,9 +85,9 @@ def test_the_log_is_decided_again_as_it_was(place: str) -> None:
 def test_at_two_fixes_a_second_it_still_gets_along() -> None:
     """Where a decision falls more than half a second after the newest fix it rests, as the guard wants."""
     pool = bad_pool("line", Camera(rate_hz=2.0))
-    recording, _, _ = rig.swim("pool", "line", 40.0, pool=pool)
+    recording = rig.swim("pool", "line", 40.0, pool=pool)
     statuses = [d.status for d in recording.decisions]
     assert set(statuses) <= {0, STATUS["STALE"]} and statuses.count(0) > len(statuses) // 2
     assert recording.completed
-    tracked = tracking_of_recording(recording, pool, rig.robot(), shape("line"))
+    tracked = recording.tracking()
     assert tracked.mean_distance_m < 0.02 and tracked.fixes_lost == 0

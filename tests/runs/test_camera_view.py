@@ -24,7 +24,7 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.report.live_page import served
 from frogkick.runs import tracked_fixes
-from frogkick.runs.closed_loop import Recording, RunOptions
+from frogkick.runs.record import RunOptions
 from frogkick.runs.tracked_fixes import CameraFixes, CameraView
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.scene import Scene, looking_at
@@ -161,10 +161,9 @@ def test_a_real_run_is_drawn_over_its_camera_s_picture(capsys: pytest.CaptureFix
     of = scene()
     with looking(of) as (_, camera):
         path = shape("line").place((POSE[0], POSE[1], POSE[2] - float(shape("line").tangent_rad[0])))
-        recording = Recording()
+        recording = rig.recording(path, RunOptions(PlanConfig(depth=2)))
         recording.fixes.append(Fix(0.0, 0.02, *POSE))
-        options = RunOptions(PlanConfig(depth=2))
-        with viewed(True, rig.robot(), rig.tables(), path, options, camera=camera) as keep:
+        with viewed(True, recording, camera) as keep:
             address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
             keep(recording)
             deadline_s = time.monotonic() + 120.0

@@ -13,22 +13,21 @@ from frogkick.link.wire import Edge
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.monitor import pulses_of
-from frogkick.pool.pool import Pool
-from frogkick.runs.closed_loop import Recording, RunOptions, require_time
+from frogkick.runs.closed_loop import require_time
 from frogkick.runs.decision import DecisionTwin, RobotEvent
-from frogkick.runs.record import config_of_log, run_log, tracking_of_recording
+from frogkick.runs.record import Recording, config_of_log
 from frogkick.runs.replay import compare, replay_on_host
 
 SHORT_S = 9.0
 
 
 @functools.cache
-def sine_run(place: str, onboard: bool = True) -> tuple[Recording, Pool, RunOptions]:
+def sine_run(place: str, onboard: bool = True) -> Recording:
     return rig.swim(place, "sine", SHORT_S, onboard=onboard)
 
 
 def test_chip_and_core_on_this_computer_decide_alike() -> None:
-    chip, core = sine_run("virtual")[0], sine_run("pool")[0]
+    chip, core = sine_run("virtual"), sine_run("pool")
     assert len(chip.decisions) >= 6
     assert [d.action for d in chip.decisions] == [d.action for d in core.decisions]
     assert [d.path_index for d in chip.decisions] == [d.path_index for d in core.decisions]
@@ -38,12 +37,10 @@ def test_chip_and_core_on_this_computer_decide_alike() -> None:
 
 
 def test_host_planner_steers_the_same_pool() -> None:
-    recording, pool, options = sine_run("pool", onboard=False)
-    assert [d.action for d in recording.decisions[:3]] == [
-        d.action for d in sine_run("pool")[0].decisions[:3]
-    ]
+    recording = sine_run("pool", onboard=False)
+    assert [d.action for d in recording.decisions[:3]] == [d.action for d in sine_run("pool").decisions[:3]]
     assert recording.ended == "time limit"
-    log = run_log(recording, pool, rig.robot(), rig.tables(), shape("sine"), options, 0, "test")
+    log = recording.log()
     assert log.decisions.plan_s is None  # a host's own clock would make each log another one
     assert "plan_ms_p99" not in log.measured
     assert len(pulses_of(recording.edges, recording.end_s)) > 0
@@ -51,14 +48,16 @@ def test_host_planner_steers_the_same_pool() -> None:
 
 @pytest.mark.parametrize("place", ["virtual", "pool"])
 def test_every_decision_on_board_is_the_twins(place: str) -> None:
-    recording, _, options = sine_run(place)
-    again = replay_on_host(recording.events, DecisionTwin(rig.tables(), shape("sine"), options.config))
+    recording = sine_run(place)
+    again = replay_on_host(
+        recording.events, DecisionTwin(rig.tables(), shape("sine"), recording.options.config)
+    )
     assert compare(recording.decisions, again) == []
     assert len(again) == len(recording.decisions) > 0
 
 
 def test_another_twin_is_found_out() -> None:
-    recording, _, _ = sine_run("pool")
+    recording = sine_run("pool")
     heavier = PlanConfig(distance_weight_per_m=501.0)
     again = replay_on_host(recording.events, DecisionTwin(rig.tables(), shape("sine"), heavier))
     assert "cost" in {field for _, fields in compare(recording.decisions, again) for field in fields}
@@ -75,10 +74,10 @@ def test_another_twin_is_found_out() -> None:
 
 
 def test_the_same_seed_gives_the_same_run_another_one_another() -> None:
-    first = sine_run("pool")[0]
-    again = rig.swim("pool", "sine", 3.0)[0]
+    first = sine_run("pool")
+    again = rig.swim("pool", "sine", 3.0)
     assert all(a.differences(b) == [] for a, b in zip(again.decisions, first.decisions, strict=False))
-    other = rig.swim("pool", "sine", 3.0, pool=rig.new_pool("sine", seed=1))[0]
+    other = rig.swim("pool", "sine", 3.0, pool=rig.new_pool("sine", seed=1))
     assert other.decisions[0].differences(first.decisions[0])
 
 
@@ -86,7 +85,7 @@ def test_the_same_seed_gives_the_same_run_another_one_another() -> None:
 def test_the_end_of_the_path_ends_the_run(onboard: bool) -> None:
     pool = rig.new_pool("line", start_at=85)
     seen: list[int] = []
-    recording, _, _ = rig.swim(
+    recording = rig.swim(
         "pool", "line", 30.0, onboard=onboard, pool=pool, progress=lambda _t, index: seen.append(index)
     )
     assert recording.completed
@@ -98,17 +97,17 @@ def test_the_end_of_the_path_ends_the_run(onboard: bool) -> None:
 
 
 def test_the_time_limit_ends_the_run_with_the_limbs_off() -> None:
-    recording, pool, options = sine_run("virtual")
+    recording = sine_run("virtual")
     assert not recording.completed
     assert recording.ended == "time limit"
     assert recording.end_s == pytest.approx(recording.first_decision_s + SHORT_S, abs=0.06)
     assert all(edge.time_s <= recording.end_s + 0.01 for edge in recording.edges)
-    tracked = tracking_of_recording(recording, pool, rig.robot(), shape("sine"))
+    tracked = recording.tracking()
     assert tracked.limit_violations == 0
     assert tracked.fixes_lost == 0
     assert tracked.decisions == len(recording.decisions)
-    log = run_log(recording, pool, rig.robot(), rig.tables(), shape("sine"), options, 0, "test")
-    assert config_of_log(log) == options.config
+    log = recording.log()
+    assert config_of_log(log) == recording.options.config
     assert log.notes == "time limit"
 
 
@@ -116,7 +115,7 @@ def test_the_time_limit_ends_the_run_with_the_limbs_off() -> None:
 def test_lost_fixes_end_the_run(onboard: bool) -> None:
     pool = rig.new_pool("sine")
     pool.last_fix_s = 3.0
-    recording, _, _ = rig.swim("pool", "sine", 30.0, onboard=onboard, pool=pool)
+    recording = rig.swim("pool", "sine", 30.0, onboard=onboard, pool=pool)
     assert recording.ended == "position fixes lost"
     assert not recording.completed
     assert 3.0 < recording.end_s < 10.0
@@ -146,15 +145,14 @@ def test_a_lost_robot_is_disarmed() -> None:
 
 
 def test_broken_limits_are_counted_from_the_pins() -> None:
-    recording, pool, _ = sine_run("pool")
+    recording = sine_run("pool")
     guard = rig.robot().guard
     quiet_s = recording.end_s + 10.0
-    path = shape("sine")
 
     def broken(extra: list[Edge]) -> int:
         altered = Recording(**{**recording.__dict__, "edges": [*recording.edges, *extra]})
         altered.end_s = quiet_s + 20.0
-        return tracking_of_recording(altered, pool, rig.robot(), path).limit_violations
+        return altered.tracking().limit_violations
 
     def pulse(limb: int, start_s: float, length_s: float) -> list[Edge]:
         return [Edge(start_s, limb, True), Edge(start_s + length_s, limb, False)]

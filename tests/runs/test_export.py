@@ -17,18 +17,16 @@ from tests.runs import rig
 import frogkick as fk
 from frogkick.core import extras
 from frogkick.core.errors import InputError
-from frogkick.paths import shape
 from frogkick.runs.export_csv import export_csv
 from frogkick.runs.export_mcap import export_mcap
-from frogkick.runs.record import run_log
 from frogkick.runs.recorded.importer import load_run
 from frogkick.runs.runlog import RunLog
 
 
 @pytest.fixture(scope="module")
 def swum() -> RunLog:
-    recording, pool, options = rig.swim("pool", "sine", 6.0)
-    return run_log(recording, pool, rig.robot(), rig.tables(), shape("sine"), options, 0, "test")
+    recording = rig.swim("pool", "sine", 6.0)
+    return recording.log()
 
 
 def rows_of(file: Path) -> dict[str, list[str]]:

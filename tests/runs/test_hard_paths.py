@@ -20,7 +20,8 @@ from frogkick.planner.plan import config_of
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import Firmware, build
@@ -68,7 +69,7 @@ def swim(
     """The robot's own planner: (recording, distance of each decision's estimate to the path, final pose)."""
     pool = Pool(rig.robot(), start, Camera(), np.random.default_rng(0))
     options = RunOptions(config_of(rig.robot().planner), onboard, LIMIT_S)
-    recording = run_session(Session(port()), pool, tables(), path, options)
+    recording = run_session(Session(port()), pool, Recording(rig.robot(), tables(), path, options))
     places = np.array([decision.estimate[:2] for decision in recording.decisions], dtype=np.float64)
     return recording, path.distance_m(places), pool.state()[0]
 
@@ -137,7 +138,7 @@ def test_a_robot_that_cannot_move_gives_up() -> None:
     pool = Pool(rig.robot(), (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0))
     pool.actuate = lambda limb, time_s: None
     options = RunOptions(config_of(rig.robot().planner), True, LIMIT_S)
-    recording = run_session(Session(port()), pool, tables(), STRAIGHT, options)
+    recording = run_session(Session(port()), pool, Recording(rig.robot(), tables(), STRAIGHT, options))
     assert (recording.completed, recording.ended) == (False, End.STALLED.value)
     assert len(recording.decisions) == IDLE_DECISIONS_MAX + 1
     assert math.dist(pool.state()[0][:2], (0.0, 0.0)) < 2e-3

@@ -24,9 +24,9 @@ from frogkick.pool.pool import Pool
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_log import replay_log
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import LOST_FIELDS, LiveCheck
-from frogkick.runs.record import lost_at_start, run_log
+from frogkick.runs.record import Recording, RunOptions, lost_at_start
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
@@ -60,16 +60,16 @@ def port_of(place: str, images: dict[str, Path]) -> Port:
     return made(images[place], len(robot().limbs))
 
 
-def swim(session: Session, limit_s: float, learn: bool = True) -> tuple[Recording, LiveCheck, RunOptions]:
+def swim(session: Session, limit_s: float, learn: bool = True) -> tuple[Recording, LiveCheck]:
     """A run of a robot with a worn limb, whose decisions the host checks."""
     begin = float(PATH.x_m[0]), float(PATH.y_m[0]), float(PATH.tangent_rad[0])
     pool = Pool(robot(), begin, Camera(), np.random.default_rng(6), WORN)
     pool.advance(session.time_s)
     check = LiveCheck()
     options = RunOptions(config_of(robot().planner), True, limit_s, check, learn=learn)
-    recording = run_session(session, pool, tables(), PATH, options)
+    recording = run_session(session, pool, Recording(robot(), tables(), PATH, options, "test"))
     session.on_step = lambda _time_s, _edges: None  # nobody sees it any more
-    return recording, check, options
+    return recording, check
 
 
 class AfterReset(Session):
@@ -105,18 +105,18 @@ def test_a_run_after_a_reset_goes_on_from_what_was_learned(
     """STATUS tells it still; the live check, a replay and the robot's own log agree to the bit."""
     port = port_of(place, images)
     session = Session(port)
-    recording, check, options = swim(session, FIRST_S)
+    recording, check = swim(session, FIRST_S)
     learn, learned = known(session)
     assert learn == link_layout().learn["ON"] and learned[0] > 10_000, "front_right"
     session = reset(port, session)
     assert known(session) == (learn, learned)
-    recording, check, options = swim(session, SECOND_S)
+    recording, check = swim(session, SECOND_S)
     first = recording.decisions[0]
     assert first.lost == learned and check.unchecked == 0
     assert check.agreed == len(recording.decisions) > 5
     assert recording.decisions[-1].lost != learned, "it learns on"
 
-    log = run_log(recording, None, robot(), tables(), PATH, options, None, "test")
+    log = recording.log()
     assert lost_at_start(log) == learned
     write_run(tmp_path / "second.h5", log)
     assert fk.load_run(tmp_path / "second.h5").decisions.extra["lost"][0].tolist() == list(learned)
@@ -144,7 +144,7 @@ def test_a_later_run_hangs_on_none_before_it(learn: bool, images: dict[str, Path
     for pause_s in (1.0, 30.0):
         session.step(session.time_s + pause_s)
         session = Session(port, time_s=session.time_s, conversation=session.conversation + 1)
-        recording, check, _ = swim(session, SECOND_S, learn)
+        recording, check = swim(session, SECOND_S, learn)
         assert check.unchecked == 0 and check.agreed == len(recording.decisions) > 5
         assert recording.decisions[0].lost == learned and any(learned) == learn
         learned = known(session)[1]
@@ -200,7 +200,7 @@ def test_a_run_that_does_not_learn_makes_the_robot_forget(images: dict[str, Path
     session = Session(port)
     session.handshake(tables())
     assert known(session)[1][1] == 16_000
-    recording, check, options = swim(session, 4.0, learn=False)
+    recording, check = swim(session, 4.0, learn=False)
     assert check.agreed == len(recording.decisions) > 0 and not any(recording.decisions[0].lost)
-    assert lost_at_start(run_log(recording, None, robot(), tables(), PATH, options, None, "test")) == (0,) * 8
+    assert lost_at_start(recording.log()) == (0,) * 8
     assert known(reset(port, session)) == (link_layout().learn["OFF"], (0,) * 8)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -23,8 +24,9 @@ from frogkick.front.viewing import viewed
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, plan
 from frogkick.report.live_page import ASKS, page, served
-from frogkick.runs.closed_loop import STOPPED, RunOptions
+from frogkick.runs.closed_loop import STOPPED
 from frogkick.runs.live_view import LiveView, fan_of, tree_of
+from frogkick.runs.record import RunOptions
 
 CONFIG = PlanConfig(depth=3)
 OUTLINE = rig.robot().frame.corners_m
@@ -43,7 +45,7 @@ def test_the_fan_is_what_the_planner_predicts() -> None:
 
 
 def test_the_tree_begins_with_the_decision_and_is_as_deep_as_the_plan() -> None:
-    recording, _, _ = rig.swim("pool", "sine", 6.0)
+    recording = rig.swim("pool", "sine", 6.0)
     decision = recording.decisions[-1]
     tree = tree_of(rig.tables(), shape("sine"), CONFIG, decision)
     assert len(tree.branch) == 4 and len(tree.fans) == len(tree.names) == 3
@@ -58,10 +60,10 @@ def test_the_tree_begins_with_the_decision_and_is_as_deep_as_the_plan() -> None:
 
 
 def test_the_newest_state_is_told() -> None:
-    recording, pool, _ = rig.swim("pool", "sine", 6.0)
-    view = LiveView(rig.tables(), shape("sine"), CONFIG, OUTLINE)
-    assert json.loads(view.text) == {}
-    view.show(recording, np.array(pool.truth.pose_world))
+    recording = rig.swim("pool", "sine", 6.0)
+    pool, view = recording.pool, LiveView(OUTLINE)
+    assert json.loads(view.text) == {} and pool is not None
+    view.show(replace(recording, options=replace(recording.options, config=CONFIG)))
     told = json.loads(view.text)
     assert len(told["path"]) == 100 and len(told["decisions"]) == len(recording.decisions)
     assert len(told["branch"]) == 4 and len(told["fan"]) == 3 * len(rig.tables().actions)
@@ -80,10 +82,8 @@ def test_the_newest_state_is_told() -> None:
 
 
 def test_a_run_without_a_decision_is_drawn_too() -> None:
-    from frogkick.runs.closed_loop import Recording
-
-    view = LiveView(rig.tables(), shape("line"), CONFIG, OUTLINE)
-    view.show(Recording())
+    view = LiveView(OUTLINE)
+    view.show(rig.recording(shape("line"), RunOptions(CONFIG)))
     told = json.loads(view.text)
     assert (told["fixes"], told["decisions"], told["branch"], told["fix_age_s"]) == ([], [], [], None)
 
@@ -207,7 +207,7 @@ def test_a_log_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_a_recorded_run_is_played_by_its_fixes(frog2022_dir: Path) -> None:
     log = fk.load_run(frog2022_dir / "control" / "line1.csv").log
-    view = LiveView(None, log.path, None, [])
+    view = LiveView([])
     view.show_log(log, float(log.decisions.time_s[3]))
     told = json.loads(view.text)
     assert len(told["decisions"]) == len(told["letters"]) == 4 and not told["branch"] and not told["ended"]
@@ -217,11 +217,11 @@ def test_a_recorded_run_is_played_by_its_fixes(frog2022_dir: Path) -> None:
 
 def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     """What is recorded is handed over and no more: fixes wait for no picture."""
-    recording, _, _ = rig.swim("pool", "sine", 4.0)
-    options = RunOptions(CONFIG)
-    with viewed(True, rig.robot(), rig.tables(), shape("sine"), options) as keep:
+    recording = rig.swim("pool", "sine", 4.0)
+    real = replace(recording, pool=None, options=RunOptions(CONFIG))
+    with viewed(True, real) as keep:
         address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
-        keep(recording)
+        keep(real)
         deadline_s = time.monotonic() + 120.0
         while not (told := json.loads(fetched(address + "state.json"))).get("decisions"):
             assert time.monotonic() < deadline_s, "nobody draws"

@@ -16,13 +16,13 @@ from frogkick.link.frames import Frame, pack_frame, unpack_frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path, line, shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import STALE, Decision, DecisionTwin, LiveCheck
 from frogkick.runs.export_csv import columns_of
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.live_view import LiveView
 from frogkick.runs.path_change import TRIES, NextPath, PathChanges, PathSender
-from frogkick.runs.record import distances_m, run_log, tracking_of_recording
+from frogkick.runs.record import Recording, RunOptions, distances_m
 from frogkick.runs.replay import replay, replay_on_host
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import read_run, write_run
@@ -41,11 +41,11 @@ def swim(place: str, plan: str = "both", keep: object = None) -> tuple[Recording
     pool = rig.new_pool("line")
     keep_it = keep if callable(keep) else lambda _recording: None
     recording = run_session(
-        Session(rig.port(place)), pool, rig.tables(), shape("line"), options, keep=keep_it
+        Session(rig.port(place)), pool, rig.recording(shape("line"), options, pool), keep=keep_it
     )
     if check is not None:
         assert check.agreed == len(recording.decisions) and check.unchecked == 0
-    return recording, run_log(recording, pool, rig.robot(), rig.tables(), shape("line"), options, 0, "test")
+    return recording, recording.log()
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_a_run_is_measured_by_the_path_that_it_followed(swum: tuple[Recording, R
     assert (told.path, told.then) == ("line", ("beside", "line"))
     assert told.mean_distance_m == pytest.approx(log.measured["mean_distance_m"], rel=0.05)
     assert told.progress_mps is not None and told.progress_mps > 0.02
-    tracked = tracking_of_recording(recording, None, rig.robot(), shape("line"))
+    tracked = replace(recording, pool=None).tracking()
     assert tracked.mean_distance_m == pytest.approx(log.measured["mean_distance_m"], abs=1e-3)
     assert bends_of(log, 0.03) is None
     assert compare_runs(log, log).same_path
@@ -117,7 +117,7 @@ def test_a_run_is_measured_by_the_path_that_it_followed(swum: tuple[Recording, R
 
 def test_what_is_drawn_and_exported(swum: tuple[Recording, RunLog]) -> None:
     recording, log = swum
-    view = LiveView(rig.tables(), shape("line"), PlanConfig(depth=1), ())
+    view = LiveView(())
     view.show(recording)
     assert view.path is recording.then[1].path
     view.show_log(log, float(log.decisions.time_s[2]))
@@ -132,7 +132,7 @@ def test_what_is_drawn_and_exported(swum: tuple[Recording, RunLog]) -> None:
 def test_the_log_of_a_run_that_goes_on_has_its_paths(tmp_path: FilePath) -> None:
     target, seen = tmp_path / "run.h5", []
     options = RunOptions(PlanConfig(depth=1), True, LIMIT_S, then=THEN)
-    with logged(target, rig.robot(), rig.tables(), shape("line"), options, "test") as keep:
+    with logged(target, rig.recording(shape("line"), options)) as keep:
 
         def keep_and_look(recording: Recording) -> None:
             keep(recording)

@@ -15,9 +15,10 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import RESTING, Decision, RobotEvent
 from frogkick.runs.pool_fixes import HELD_UP_S, LAG_S, PoolFixes
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import Session
 
 START = (0.2, -0.1, 0.4)
@@ -49,7 +50,7 @@ def live(source: PoolFixes, clock: Clock, for_s: float, step_s: float = 0.02) ->
 @pytest.fixture(scope="module")
 def decided() -> Decision:
     """One that fires limbs of both groups."""
-    recording, _, _ = rig.swim("pool", "line", 6.0)
+    recording = rig.swim("pool", "line", 6.0)
     index = next(k for k, row in enumerate(rig.tables().actions) if row.first_mask and row.second_mask)
     return dataclasses.replace(recording.decisions[-1], status=0, action=index, plan_us=4_000)
 
@@ -57,7 +58,8 @@ def decided() -> Decision:
 def told(decision: Decision, at_s: float, refused: bool = False, onboard: bool = True) -> Recording:
     """A recording whose robot decided at a session time."""
     scheduled_us = round(at_s * 1e6) + (OFFSET_US if onboard else 0)
-    recording = Recording(clock_offset_us=OFFSET_US)
+    recording = rig.recording(shape("line"), RunOptions(PlanConfig(), onboard))
+    recording.clock_offset_us = OFFSET_US
     recording.decisions.append(dataclasses.replace(decision, scheduled_us=scheduled_us))
     if refused:
         recording.events.append(RobotEvent(round(at_s * 1e6) + OFFSET_US, action=RESTING))
@@ -82,7 +84,7 @@ def test_a_stroke_begins_when_the_robot_began_it(decided: Decision, onboard: boo
     live(source, clock, 1.0)
     at_s = clock.now_s - 950.0
     live(source, clock, 0.06)
-    source.follow(told(decided, at_s, onboard=onboard), onboard)
+    source.follow(told(decided, at_s, onboard=onboard))
     live(source, clock, 1.4)
     assert source.late == 0
     beside = Pool(rig.robot(), START, Camera(delay_s=0.0), np.random.default_rng(1))
@@ -109,7 +111,7 @@ def test_what_is_true_in_the_pool_besides_acts_on_it(decided: Decision, tmp_path
     for world in (World(), read_world(tmp_path / "worn.toml")):
         source, clock = begun(world)
         live(source, clock, 1.0)
-        source.follow(told(decided, clock.now_s - 950.0), True)
+        source.follow(told(decided, clock.now_s - 950.0))
         live(source, clock, 1.4)
         swum.append(np.hypot(*(source.pool.state()[0] - START)[:2]))
     assert swum[1] < 0.8 * swum[0]
@@ -118,7 +120,7 @@ def test_what_is_true_in_the_pool_besides_acts_on_it(decided: Decision, tmp_path
 def test_a_stroke_that_the_guard_refused_moves_nothing(decided: Decision) -> None:
     source, clock = begun()
     live(source, clock, 1.0)
-    source.follow(told(decided, clock.now_s - 950.0, refused=True), True)
+    source.follow(told(decided, clock.now_s - 950.0, refused=True))
     live(source, clock, 1.4)
     assert source.pool.state()[0] == pytest.approx(START, abs=1e-6)
 
@@ -126,7 +128,7 @@ def test_a_stroke_that_the_guard_refused_moves_nothing(decided: Decision) -> Non
 def test_a_stroke_that_is_told_too_late_begins_late_and_is_counted(decided: Decision) -> None:
     source, clock = begun()
     live(source, clock, 1.0)
-    source.follow(told(decided, clock.now_s - 950.0 - 0.5), True)
+    source.follow(told(decided, clock.now_s - 950.0 - 0.5))
     live(source, clock, 1.4)
     row = rig.tables().actions[decided.action]
     assert source.late == (row.first_mask | row.second_mask).bit_count()
@@ -145,7 +147,7 @@ def test_time_in_which_nobody_asks_does_not_pass_in_the_pool() -> None:
 
 def test_it_swims_a_path_as_the_pool_does_whose_pins_are_seen() -> None:
     """The core in simulated time, once with its pins seen, once by what it says."""
-    seen, _, _ = rig.swim("pool", "line", 12.0, depth=2)
+    seen = rig.swim("pool", "line", 12.0, depth=2)
 
     class ByWord(PoolFixes):
         """Its clock is the session's; strokes come from the recording alone."""
@@ -157,10 +159,8 @@ def test_it_swims_a_path_as_the_pool_does_whose_pins_are_seen() -> None:
     path, clock = shape("line"), Clock()
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     source = ByWord(rig.robot(), rig.tables(), start, np.random.default_rng(0), clock=clock)
-    recording = run_session(
-        Session(rig.port("pool")), source, rig.tables(), path, RunOptions(PlanConfig(depth=2), True, 12.0),
-        keep=lambda told_so_far: source.follow(told_so_far, True),
-    )  # fmt: skip
+    begun = rig.recording(path, RunOptions(PlanConfig(depth=2), True, 12.0))
+    recording = run_session(Session(rig.port("pool")), source, begun, keep=source.follow)
     assert source.late == 0 and len(recording.decisions) == len(seen.decisions)
     ours, theirs = (one.fixes[-1].pose_world for one in (recording, seen))
     assert np.hypot(*(ours - theirs)[:2]) < 0.02, (ours, theirs)

@@ -13,10 +13,10 @@ from tests.runs import rig
 
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import DecisionTwin, warm_up
 from frogkick.runs.lab_session import SWITCH_S, LabSession
 from frogkick.runs.live_log import LiveLog, logged, part_of
+from frogkick.runs.record import RunOptions
 from frogkick.runs.runlog_file import read_run
 
 
@@ -84,7 +84,7 @@ def test_nothing_is_compiled_while_a_robot_swims() -> None:
 
 
 def test_nobody_waits_for_a_disk_that_is_slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recording, _, options = rig.swim("pool", "line", 4.0)
+    recording = rig.swim("pool", "line", 4.0)
     wakes, write = threading.Event(), LiveLog._write
 
     def slow(self: LiveLog, rows: list[object]) -> None:
@@ -93,9 +93,8 @@ def test_nobody_waits_for_a_disk_that_is_slow(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(LiveLog, "_write", slow)
     target = tmp_path / "run.h5"
-    plain = RunOptions(options.config)
-    with logged(target, rig.robot(), rig.tables(), shape("line"), plain, "test") as keep:
-        grown = Recording()
+    grown = rig.recording(shape("line"), RunOptions(recording.options.config))
+    with logged(target, grown) as keep:
         for row, fix in enumerate(recording.fixes):
             grown.fixes.append(fix)
             for name in ("sent_s", "capture_us", "fix_status"):

@@ -11,9 +11,7 @@ from tests.conftest import count, some
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
-from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.record import run_log
 from frogkick.runs.recorded.importer import RUN_NAME, load_run
 from frogkick.runs.replay import Replay, replay
 from frogkick.runs.runlog import Decisions, FixFlag, RunLog
@@ -48,8 +46,8 @@ def test_all_recorded_runs(frog2022_dir: pathlib.Path) -> None:
 
 @pytest.fixture(scope="module")
 def own_log(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
-    recording, pool, options = rig.swim("pool", "sine", 8.0, depth=2)
-    log = run_log(recording, pool, rig.robot(), rig.tables(), shape("sine"), options, 0, "test")
+    recording = rig.swim("pool", "sine", 8.0, depth=2)
+    log = recording.log()
     target = tmp_path_factory.mktemp("log") / "run.h5"
     write_run(target, log)
     return read_run(target)

@@ -30,12 +30,13 @@ from frogkick.paths.hold import hold_at_end
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, run_session
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.runs.live_view import tree_of
 from frogkick.runs.path_change import NextPath
 from frogkick.runs.pool_fixes import PoolFixes
+from frogkick.runs.record import Recording
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.text_robot import TextRobot
 from frogkick.runs.tracked_fixes import CameraFixes, LineFixes
@@ -264,9 +265,9 @@ class Bench:
     drawn: bool = False
 
 
-Kept = Callable[[SwimPath, CameraFixes | None, float], AbstractContextManager[Keep]]
-"""Makes the log that grows with a recording. Its arguments are the placed path, the camera if there is one,
-and the wall clock at the session's time 0 (s since 1970)."""
+Kept = Callable[[CameraFixes | None, float], AbstractContextManager[Keep]]
+"""Makes the log that grows with a recording. Its arguments are the camera if there is one, and the wall clock
+at the session's time 0 (s since 1970)."""
 
 
 def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: bool) -> None:
@@ -285,23 +286,23 @@ def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: 
 def run_on_bench(
     bench: Bench,
     image: Path,
-    robot: Robot,
-    tables: Tables,
-    path: SwimPath,
-    options: RunOptions,
+    recording: Recording,
     kept: Kept,
     progress: Callable[[float, int], None],
-) -> tuple[Recording, SwimPath]:
-    """Run a real robot; return the recording and the placed path. The robot is disarmed however the run ends.
+) -> None:
+    """Run a real robot. The robot is disarmed however the run ends.
 
     The checks before the start are reported on stderr, one line each.
 
     Args:
         bench: the robot and its surroundings.
-        image: table image of ``tables``.
-        robot, tables, path, options, progress: see ``run_session``.
+        image: table image of the recording's tables.
+        recording: says what to follow; its paths are placed, and the run is recorded in it.
         kept: makes the log that grows with the recording.
+        progress: see ``run_session``.
     """
+    robot, tables = recording.robot, recording.tables
+    path, options = recording.path, recording.options
     sight, target = bench.sight, parse_target(bench.name)
     battery = "battery: none, a kit" if sight.fixes == POOL else check_battery(robot, bench.battery_v)
     greeting = DELIMITER if bench.dialect == "frogkick" else pulse_line(tables.pulse_us)
@@ -337,15 +338,16 @@ def run_on_bench(
             stack.callback(video.close)
             stack.callback(camera.close)  # before the video: its thread writes there
             camera.film(video)
-        write = stack.enter_context(kept(path, camera, time.time() - session.port.now_s))
+        recording.path, recording.options = path, options
+        write = stack.enter_context(kept(camera, time.time() - session.port.now_s))
 
-        def keep(recording: Recording) -> None:
-            write(recording)
+        def keep(grown: Recording) -> None:
+            write(grown)
             if isinstance(fixes, PoolFixes):
-                fixes.follow(recording, options.onboard)
+                fixes.follow(grown)
 
         operator = stack.enter_context(bench.operator(sight.fixes == STDIN))
         operator.wait_to_arm()
         asked = options.stop
-        options = replace(options, stop=lambda: operator.pressed() or asked())
-        return run_session(session, fixes, tables, path, options, progress, keep), path
+        recording.options = replace(options, stop=lambda: operator.pressed() or asked())
+        run_session(session, fixes, recording, progress, keep)

@@ -18,8 +18,6 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import Fix
 from frogkick.front.viewing import camera_viewed
-from frogkick.runs.closed_loop import Recording
-from frogkick.runs.live_view import FIXES_SHOWN
 from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
 from frogkick.vision.calibration import (
@@ -323,7 +321,7 @@ def track_camera(
     known = read_calibration(Path(calibration))
     name = f"camera {source}" if source.isdigit() else source
     camera = CameraFixes(open_source(source, known.image_px), known, name)
-    recording, count, times_s = Recording(), 0, [0.0, 0.0]
+    count, times_s = 0, [0.0, 0.0]
     end_s = math.inf
     with closing(camera), camera_viewed(view, camera) as show, suppress(KeyboardInterrupt):
         is_over = False
@@ -337,8 +335,7 @@ def track_camera(
                 each(fix)
                 times_s = [times_s[0] if count else fix.capture_s, fix.capture_s]
                 count += 1
-            recording.fixes = [*recording.fixes, *new][-FIXES_SHOWN:]
-            show(recording)
+            show(new)
             if not is_over:
                 time.sleep(0.005)
     return CameraTracked(count, dict(camera.reasons), times_s[1] - times_s[0])

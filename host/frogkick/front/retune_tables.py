@@ -106,7 +106,7 @@ class TableMaker:
     def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
         """Follow a fixed set of paths with a table file, in a pool with the robot's effects."""
         with built_firmware("native", tables, robot) as built:
-            runs = trials(
+            numbers = trials(
                 built.image,
                 read_image(tables),
                 robot,
@@ -115,7 +115,6 @@ class TableMaker:
                 LOOP_SEEDS,
                 progress=progress,
             )
-        numbers = [run.tracking for run in runs]
         return Tracked(
             float(np.mean([each.mean_distance_m for each in numbers])),
             float(np.mean([each.progress_mps for each in numbers])),

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from frogkick.core.progress import Tell, tell_line
-from frogkick.runs.closed_loop import Recording
-from frogkick.runs.decision import LiveCheck, lost_text
+from frogkick.runs.decision import lost_text
 from frogkick.runs.live_log import CUT_OFF, part_of
-from frogkick.runs.record import CANNOT_FOLLOW
+from frogkick.runs.record import CANNOT_FOLLOW, Recording
 from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.summary import bends_of
-from frogkick.tables.image import Tables
 
 Keep = Callable[[Recording], None]
 """What is told of a recording that grows."""
@@ -51,14 +49,9 @@ def tight_path(log: RunLog, tracked: Tracking) -> str:
 class RunProgress:
     """Shows progress along the path, the action, the cost of its plan, and the distance to the path."""
 
-    def __init__(
-        self, tell: Tell, points: int, tables: Tables, check: LiveCheck | None, limbs: Sequence[str] = ()
-    ) -> None:
-        """``points``: of the path; ``check``: the live comparison, if there is any; ``limbs``: names."""
-        self._tell, self._points, self._check = tell, points, check
-        self._limbs = limbs
-        self._names = [row.name for row in tables.actions]
-        self._recording = Recording()
+    def __init__(self, tell: Tell, recording: Recording) -> None:
+        """Show it with ``tell``, of a run that is to begin."""
+        self._tell, self._recording, self._points = tell, recording, len(recording.path)
 
     @contextmanager
     def preparing(self) -> Iterator[None]:
@@ -72,26 +65,23 @@ class RunProgress:
         finally:
             slow.cancel()
 
-    def keep(self, recording: Recording) -> None:
-        """Take the recording, which grows and is read at the next decision."""
-        self._recording = recording
-
     def progress(self, _time_s: float, index: int) -> None:
         """Show the state after a decision at the nearest path point."""
-        if self._recording.then:
-            self._points = len(self._recording.then[-1].path)
-        decisions = self._recording.decisions
-        lost = lost_text(decisions[-1].lost, self._limbs) if decisions else ""
-        notes = [self._plan(), lost, "" if self._check is None else self._check.text]
+        recording, check = self._recording, self._recording.options.check
+        if recording.then:
+            self._points = len(recording.then[-1].path)
+        limbs = [limb.name for limb in recording.robot.limbs]
+        lost = lost_text(recording.decisions[-1].lost, limbs) if recording.decisions else ""
+        notes = [self._plan(), lost, "" if check is None else check.text]
         self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
 
     def _plan(self) -> str:
         if not self._recording.decisions:
             return ""
-        newest = self._recording.decisions[-1]
-        if newest.status != 0 or newest.action >= len(self._names):
+        newest, actions = self._recording.decisions[-1], self._recording.tables.actions
+        if newest.status != 0 or newest.action >= len(actions):
             return "no plan"
-        name = self._names[newest.action]
+        name = actions[newest.action].name
         return f"{name} cost {float(newest.cost):.1f}, {1e3 * float(newest.distance_m):.0f} mm off"
 
 
@@ -107,14 +97,13 @@ def reports_partial_log(out: Path | None) -> Iterator[None]:
 
 
 @contextmanager
-def log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iterator[Keep]:
+def log_so_far(out: Path | None, recording: Recording) -> Iterator[None]:
     """If a simulated run breaks off, write its log so far beside ``out``."""
-    held: dict[str, Recording] = {}
     try:
-        yield lambda recording: held.update(newest=recording)
+        yield
     except BaseException:
-        if out is not None and held:
-            write_run(part_of(out), replace(log_of(held["newest"]), notes=CUT_OFF))
+        if out is not None and recording.end_s > 0.0:
+            write_run(part_of(out), replace(recording.log(), notes=CUT_OFF))
             _report_partial_log(out)
         raise
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,16 +57,17 @@ from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import Recording, RunOptions, require_seed, require_time, run_session
+from frogkick.runs.closed_loop import require_seed, require_time, run_session
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.record import (
     BATTERY_V,
+    Recording,
+    RunOptions,
     limb_events,
     lost_of,
     made_of,
-    run_log,
 )
 from frogkick.runs.recorded.importer import import_recorded
 from frogkick.runs.recorded.importer import load_run as load_log
@@ -320,13 +321,12 @@ def run(
     )
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
     known = {} if battery_v is None else {BATTERY_V: battery_v}
-    pool, made = None, dict[str, str]()
     with ExitStack() as stack:
         stack.enter_context(sole_writer(target))
         image = stack.enter_context(used.file())
         tell = stack.enter_context(shown(progress, desired.name))
-        limbs = [limb.name for limb in described.limbs]
-        said = RunProgress(tell, len(desired), used.tables, check, limbs)
+        recording = Recording(described, used.tables, desired, options, name, known=known)
+        said = RunProgress(tell, recording)
         if is_real:
             sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
             owner = None if key is None else Path(key)
@@ -334,46 +334,31 @@ def run(
             bench = Bench(robot, dialect, sight, battery_v, film, operator, wire, owner, view)
 
             @contextmanager
-            def kept(placed: SwimPath, camera: CameraFixes | None, began_unix_s: float) -> Iterator[Keep]:
-                made.update(made_of(described, used.tables, began_unix_s))
-                drawn = viewed(view, described, used.tables, placed, options, camera=camera, stop=stopped.set)
-                log = logged(target, described, used.tables, placed, options, name, known, made)
-                with log as write, drawn as draw:
-                    yield _in_turn(said.keep, write, draw)
+            def kept(camera: CameraFixes | None, began_unix_s: float) -> Iterator[Keep]:
+                recording.made = made_of(described, used.tables, began_unix_s)
+                log = logged(target, recording)
+                with log as write, viewed(view, recording, camera, stopped.set) as draw:
+
+                    def keep(grown: Recording) -> None:
+                        write(grown)
+                        draw(grown)
+
+                    yield keep
 
             stack.enter_context(reports_partial_log(target))
-            recording, desired = run_on_bench(
-                bench, image, described, used.tables, desired, options, kept, said.progress
-            )
+            run_on_bench(bench, image, recording, kept, said.progress)
         else:
             with said.preparing():
                 port = stack.enter_context(
                     simulated_robot(robot, image, described, lambda: compile_rods(described))
                 )
-            made = made_of(described, used.tables, _now_unix_s())
-            pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
-            draw = stack.enter_context(
-                viewed(view, described, used.tables, desired, options, pool, stop=stopped.set)
-            )
-            whole = partial(
-                run_log,
-                pool=pool,
-                robot=described,
-                tables=used.tables,
-                path=desired,
-                options=options,
-                seed=seed,
-                source=name,
-                made=made,
-            )
-            with log_so_far(target, whole) as keep:
-                write = _in_turn(said.keep, draw, keep)
-                recording = run_session(
-                    Session(port), pool, used.tables, desired, options, said.progress, write
-                )
-    log_seed = None if is_real else seed
-    kept_log = run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known, made)
-    found = Run(**vars(kept_log), checked={} if check is None else check.as_json())
+            recording.made = made_of(described, used.tables, _now_unix_s())
+            recording.seed = seed
+            recording.pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
+            draw = stack.enter_context(viewed(view, recording, stop=stopped.set))
+            with log_so_far(target, recording):
+                run_session(Session(port), recording.pool, recording, said.progress, draw)
+    found = Run(**vars(recording.log()), checked={} if check is None else check.as_json())
     if target is not None:
         found.save(target)
         part_of(target).unlink(missing_ok=True)
@@ -394,11 +379,3 @@ def _now_unix_s() -> float:
     except (ValueError, OverflowError, OSError):
         raise InputError(f"SOURCE_DATE_EPOCH is {fixed!r}: give seconds since 1970, or unset it") from None
     return now_s
-
-
-def _in_turn(*keepers: Keep) -> Keep:
-    def keep(recording: Recording) -> None:
-        for one in keepers:
-            one(recording)
-
-    return keep

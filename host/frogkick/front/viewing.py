@@ -9,20 +9,20 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 
 import numpy as np
 
 from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.poses import Fix
 from frogkick.core.progress import tell_line
-from frogkick.paths import Path as SwimPath
 from frogkick.pool.pool import Pool
 from frogkick.report.live_page import served
-from frogkick.robot import Robot, load_robot, parse_robot
-from frogkick.runs.closed_loop import Recording, RunOptions
-from frogkick.runs.live_view import LiveView
+from frogkick.robot import load_robot, parse_robot
+from frogkick.runs.live_view import FIXES_SHOWN, LiveView
+from frogkick.runs.record import Recording
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.tracked_fixes import CameraFixes, CameraView
-from frogkick.tables.image import Tables
 
 EVERY_S = 0.1
 LINGER_S = 0.5
@@ -32,11 +32,7 @@ LINGER_S = 0.5
 @contextmanager
 def viewed(
     wanted: bool,
-    robot: Robot,
-    tables: Tables,
-    path: SwimPath,
-    options: RunOptions,
-    pool: Pool | None = None,
+    recording: Recording,
     camera: CameraFixes | None = None,
     stop: Callable[[], None] | None = None,
 ) -> Iterator[Callable[[Recording], None]]:
@@ -44,19 +40,16 @@ def viewed(
 
     Args:
         wanted: False: there is no page, and nothing is slowed.
-        robot, tables, path, options: of the run.
-        pool: the simulated pool; None: a real one.
+        recording: of the run that is to begin.
         camera: camera over a real pool, whose pictures are shown; None: the pool is drawn.
         stop: called from another thread when the page's button is pressed; None: there is no button.
     """
     if not wanted:
         yield lambda _recording: None
         return
-    eye = None if camera is None else CameraView(camera)
-    view = LiveView(tables, path, options.config, robot.frame.corners_m, eye)
-    view.limbs = [limb.name for limb in robot.limbs]
-    with _drawn(view, "the run", pool, stop) as keep:
-        yield keep
+    view = LiveView(recording.robot.frame.corners_m, None if camera is None else CameraView(camera))
+    with _drawn(view, "the run", partial(view.show, recording), recording.pool, stop) as keep:
+        yield lambda _recording: keep()
 
 
 def played(run: RunLog, speed: float = 1.0) -> None:
@@ -68,7 +61,7 @@ def played(run: RunLog, speed: float = 1.0) -> None:
         raise InputError(f"run {run.source!r} has neither fixes nor decisions: nothing to play")
     first_s, last_s = float(times_s.min()), float(times_s.max())
     looked, stopped = threading.Event(), threading.Event()
-    view = LiveView(None, run.path, None, _outline_of(run))
+    view = LiveView(_outline_of(run))
     view.show_log(run, first_s)
 
     def text() -> str:
@@ -98,31 +91,36 @@ def _outline_of(run: RunLog) -> Sequence[tuple[float, float]]:
 
 
 @contextmanager
-def camera_viewed(wanted: bool, camera: CameraFixes) -> Iterator[Callable[[Recording], None]]:
-    """Yield the function that shows a camera's pictures with the tag and its fixes, without a run."""
+def camera_viewed(wanted: bool, camera: CameraFixes) -> Iterator[Callable[[Sequence[Fix]], None]]:
+    """Yield the function that takes a camera's new fixes; they are shown in its pictures with the tag."""
     if not wanted:
-        yield lambda _recording: None
+        yield lambda _fixes: None
         return
     half_m = camera.calibration.tag.size_m / 2.0
     tag = [(half_m, half_m), (half_m, -half_m), (-half_m, -half_m), (-half_m, half_m)]
-    with _drawn(LiveView(None, None, None, tag, CameraView(camera)), "what the camera sees", None) as keep:
-        yield keep
+    view, seen = LiveView(tag, CameraView(camera)), list[Fix]()
+
+    def take(fixes: Sequence[Fix]) -> None:
+        nonlocal seen
+        seen = [*seen, *fixes][-FIXES_SHOWN:]
+
+    with _drawn(view, "what the camera sees", lambda: view.show_fixes(seen)):
+        yield take
 
 
 @contextmanager
 def _drawn(
-    view: LiveView, name: str, pool: Pool | None, stop: Callable[[], None] | None = None
-) -> Iterator[Callable[[Recording], None]]:
+    view: LiveView,
+    name: str,
+    draw: Callable[[], None],
+    pool: Pool | None = None,
+    stop: Callable[[], None] | None = None,
+) -> Iterator[Callable[[], None]]:
+    """Yield the function that is called after each step; without a simulated pool a thread draws."""
     begin_s, shown_s = time.monotonic(), 0.0
-    newest = Recording()
 
-    def draw() -> None:
-        track = None if pool is None else np.array(pool.truth.pose_world).reshape(-1, 3)
-        view.show(newest, track)
-
-    def keep(recording: Recording) -> None:
-        nonlocal newest, shown_s
-        newest = recording
+    def keep() -> None:
+        nonlocal shown_s
         if pool is not None:
             time.sleep(max(0.0, begin_s + pool.time_s - time.monotonic()))
         if pool is not None and time.monotonic() - shown_s >= EVERY_S:

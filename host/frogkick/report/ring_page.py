@@ -15,8 +15,8 @@ from frogkick.report.style import ESTIMATED, NOMINAL, PREDICTED, legend_below, n
 from frogkick.ring import Closing, Ring, RingRun
 from frogkick.runs.live_view import fan_of
 from frogkick.runs.record import lost_of
-from frogkick.runs.summary import bends_of
-from frogkick.runs.trial import Trial
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.summary import bends_of, tracking_of_log
 from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
@@ -76,7 +76,7 @@ def _closing(closing: Closing) -> Section:
     worse = [
         f"the {_name(old)} from {_distance(old)} to {_distance(new)} mm"
         for old, new in zip(closing.old, closing.new, strict=False)
-        if new.tracking.mean_distance_m > old.tracking.mean_distance_m
+        if tracking_of_log(new).mean_distance_m > tracking_of_log(old).mean_distance_m
     ]
     if worse:
         text.append(
@@ -91,9 +91,9 @@ def _closing(closing: Closing) -> Section:
     return Section("A worn limb, identified from the logs", text, table, images, links)
 
 
-def _believed(run: Trial) -> str:
+def _believed(run: RunLog) -> str:
     """Return what the robot had learned at the end of a run."""
-    shares = lost_of(run.log) or {}
+    shares = lost_of(run) or {}
     lost = [f"{name} has lost {100.0 * share:.0f} %" for name, share in shares.items() if share]
     return f"on the {_name(run)} {' and '.join(lost) or 'nothing is lost'}"
 
@@ -107,7 +107,7 @@ def _distances(closing: Closing) -> Figure:
             (0.0, closing.learned, ESTIMATED, "the same, learning"),
             (0.27, closing.new, PREDICTED, "with the identified effects"),
         ):
-            heights = [1e3 * run.tracking.mean_distance_m for run in runs]
+            heights = [1e3 * tracking_of_log(run).mean_distance_m for run in runs]
             axes.bar(np.arange(len(runs)) + shift, heights, 0.25, color=colour, label=label)
             for place, height in enumerate(heights):
                 axes.text(place + shift, height, f"{height:.1f}", ha="center", va="bottom", fontsize=8)
@@ -118,12 +118,12 @@ def _distances(closing: Closing) -> Figure:
     return figure
 
 
-def _name(run: Trial) -> str:
-    return run.log.path.name if run.log.path else "path"
+def _name(run: RunLog) -> str:
+    return run.path.name if run.path else "path"
 
 
-def _distance(run: Trial) -> str:
-    return f"{1e3 * run.tracking.mean_distance_m:.1f}"
+def _distance(run: RunLog) -> str:
+    return f"{1e3 * tracking_of_log(run).mean_distance_m:.1f}"
 
 
 def _robot(ring: Ring) -> Section:
@@ -155,8 +155,8 @@ def _why(ring: Ring) -> list[str]:
         return []
     asked_deg, turned_deg = np.rad2deg(bends.asked_rad), np.rad2deg(bends.turned_rad)
     text = (
-        f"The {_name(worst)} is followed least well, with a mean distance of {_distance(worst)} mm. In one "
-        f"period the robot moved {1e3 * bends.step_m:.0f} mm along it. Where the path bends most, its "
+        f"The {_name(worst.log)} is followed least well, with a mean distance of {_distance(worst.log)} mm. "
+        f"In one period the robot moved {1e3 * bends.step_m:.0f} mm along it. Where the path bends most, its "
         f"direction changes by {asked_deg:.0f} degrees over that length. The largest turn of the robot in "
         f"any period was {turned_deg:.0f} degrees."
     )
@@ -174,8 +174,8 @@ def _paths(ring: Ring) -> Section:
     table = Table.of(
         ring.runs,
         {
-            "path": _name,
-            "mean distance, mm": _distance,
+            "path": lambda run: _name(run.log),
+            "mean distance, mm": lambda run: _distance(run.log),
             "95th percentile, mm": lambda run: f"{1e3 * run.tracking.p95_distance_m:.1f}",
             "progress, mm/s": lambda run: f"{1e3 * run.tracking.progress_mps:.1f}",
             "completed": lambda run: "yes" if run.tracking.completed else f"no ({run.log.notes})",
@@ -185,12 +185,12 @@ def _paths(ring: Ring) -> Section:
             "limits broken": lambda run: run.tracking.limit_violations,
         },
     )
-    links = [(f"{_name(run)}.h5", f"The log of the {_name(run)}") for run in ring.runs]
+    links = [(f"{_name(run.log)}.h5", f"The log of the {_name(run.log)}") for run in ring.runs]
     return Section("The paths", _why(ring), table, links=links)
 
 
 def _one_path(run: RingRun) -> Section:
-    name = _name(run)
+    name = _name(run.log)
     figure = run_figure(run.log, f"{name}: {run.tracking.decisions} decisions on the chip")
     caption = (
         "Left: the true track over the desired path, with the noisy fixes that the robot saw. Right: "

@@ -24,17 +24,14 @@ from frogkick.runs.decision import (
     LOST_FIELDS,
     NOTHING_LOST,
     RESTING,
-    Decision,
     DecisionTwin,
-    LiveCheck,
     RobotEvent,
     decision_of_event,
     events_of_frame,
 )
-from frogkick.runs.path_change import Holding, NextPath, PathChanges, PathSender
-from frogkick.runs.runlog import PathChange
+from frogkick.runs.path_change import Holding, PathChanges, PathSender
+from frogkick.runs.record import Recording
 from frogkick.runs.session import LinkError, Session
-from frogkick.tables.image import Tables
 
 SETTLE_S = 0.6  # of fixes before the start, so that the first estimate has a velocity
 START_DELAY_S = 0.1
@@ -55,32 +52,6 @@ ENDED = {
 """Status of an ENDED event -> why the run ended, for people."""
 
 
-@dataclass
-class Recording:
-    """A run while it grows; ``record.run_log`` makes a log of it."""
-
-    # fixes, sent_s: fixes in the order of sending, and when each was sent, session time
-    fixes: list[Fix] = field(default_factory=list)
-    sent_s: list[float] = field(default_factory=list)
-    # capture time of each fix on the robot's clock; None if the robot refused it
-    capture_us: list[int | None] = field(default_factory=list)
-    # the robot's answer to each fix (``frames.toml``); None if no answer came
-    fix_status: list[int | None] = field(default_factory=list)
-    # inputs of the robot's estimator and planner, in its order: they reproduce its decisions
-    events: list[RobotEvent] = field(default_factory=list)
-    # decisions, edges: decisions and pin edges in order
-    decisions: list[Decision] = field(default_factory=list)
-    edges: list[Edge] = field(default_factory=list)
-    then: list[PathChange] = field(default_factory=list)  # paths that took over, and from which decision on
-    completed: bool = False  # the robot reached the path's end, or held it until the run was ended
-    ended: str = ""  # why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED
-    fixes_refused: int = 0  # the robot's own counter
-    # first_decision_s, end_s: session time
-    first_decision_s: float = 0.0
-    end_s: float = 0.0
-    clock_offset_us: int = 0  # robot time minus session time; 0 in simulated time
-
-
 class FixSource(Protocol):
     """A source of position fixes: a simulated pool, or a tracker over a real one. Times: session time."""
 
@@ -93,21 +64,6 @@ class FixSource(Protocol):
 
     def actuate(self, limb: int, start_s: float) -> None:
         """Take note that a limb's pin switched on."""
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """Settings of a run."""
-
-    config: PlanConfig  # cost weights and depth of the planner
-    onboard: bool = True  # True: the robot's planner decides; False: the twin on the host
-    time_limit_s: float = 120.0  # longest time from the first decision on
-    check: LiveCheck | None = None  # compares each decision of the robot with the host's; None: no comparison
-    stop: Callable[[], bool] = lambda: False  # polled at each step; True ends the run
-    learn: bool = False  # whoever decides learns what the limbs have lost, and plans with it
-    then: tuple[NextPath, ...] = ()  # paths that take over during the run, in the order of their times
-    # radius of the circle on which the robot holds at its path's end, m; None: the run ends there
-    hold_m: float | None = None
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
@@ -157,9 +113,7 @@ def require_time(limit_s: float) -> None:
 def run_session(
     session: Session,
     source: FixSource,
-    tables: Tables,
-    path: Path,
-    options: RunOptions,
+    recording: Recording,
     progress: Callable[[float, int], None] = lambda _time_s, _path_index: None,
     keep: Callable[[Recording], None] = lambda _recording: None,
 ) -> Recording:
@@ -168,9 +122,7 @@ def run_session(
     Args:
         session: with the robot; the run sets its ``on_step``.
         source: position fixes on the session's clock: a simulated pool, or a tracker.
-        tables: the robot's own tables.
-        path: where to swim, world frame.
-        options: who plans, and how.
+        recording: says what is followed, by which planner; the run is recorded in it, and it is returned.
         progress: called after each decision with the session time and the nearest path point.
         keep: called after each step with the recording so far.
 
@@ -180,8 +132,8 @@ def run_session(
         CheckError: ``options.check`` found a decision that differs from the host's.
         ConvergenceError: the pool's physics failed.
     """
-    require_time(options.time_limit_s)
-    run = _Run(session, source, tables, path, options, progress, keep)
+    require_time(recording.options.time_limit_s)
+    run = _Run(session, source, recording, progress, keep)
     try:
         with session.real_time_guard():
             return run.go()
@@ -202,12 +154,9 @@ class _Run:
 
     session: Session
     source: FixSource
-    tables: Tables
-    path: Path
-    options: RunOptions
+    recording: Recording
     progress: Callable[[float, int], None]
     keep: Callable[[Recording], None]
-    recording: Recording = field(default_factory=Recording)
     may_be_armed: bool = False
     _is_configured: bool = False
     _unanswered: dict[int, int] = field(default_factory=dict)  # sequence of a FIX -> row in recording.fixes
@@ -215,12 +164,14 @@ class _Run:
     _stopped: bool = False
 
     def __post_init__(self) -> None:
-        self.recording.edges = self.session.edges  # grows with the session
+        recording = self.recording
+        self.tables, path, self.options = recording.tables, recording.path, recording.options
+        recording.edges = self.session.edges  # grows with the session
         self.session.on_step = self._advance_source
-        holding = None if self.options.hold_m is None else Holding(self.path, self.options.hold_m)
-        self.changes = PathChanges(self.options.then, self.recording.then, holding)
+        holding = None if self.options.hold_m is None else Holding(path, self.options.hold_m)
+        self.changes = PathChanges(self.options.then, recording.then, holding)
         self.sender = PathSender(self.session)
-        self.twin = DecisionTwin(self.tables, self.path, self.options.config, learn=self.options.learn)
+        self.twin = DecisionTwin(self.tables, path, self.options.config, learn=self.options.learn)
 
     def go(self) -> Recording:
         session, options = self.session, self.options
@@ -228,9 +179,9 @@ class _Run:
         self.recording.clock_offset_us = session.robot_clock_offset_us()
         lost = configure(session, options.config, options.learn and options.onboard)
         if options.check is not None:
-            options.check.begin(self.tables, self.path, options.config, options.learn, lost)
+            options.check.begin(self.tables, self.recording.path, options.config, options.learn, lost)
         self._is_configured = True
-        session.send_path(self.path)
+        session.send_path(self.recording.path)
         self.may_be_armed = True
         try:
             session.request("ARM")

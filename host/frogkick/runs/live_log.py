@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import pathlib
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -19,13 +19,9 @@ import numpy as np
 from frogkick.core.arrays import AnyArray
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
-from frogkick.paths import Path
-from frogkick.robot import Robot
-from frogkick.runs.closed_loop import Recording, RunOptions
-from frogkick.runs.record import LEARN, decision_columns, fix_columns, run_log
+from frogkick.runs.record import Recording
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import fill
-from frogkick.tables.image import Tables
 
 CHUNK_ROWS = 256
 GATHER_S = 0.02
@@ -48,10 +44,8 @@ def part_of(target: pathlib.Path) -> pathlib.Path:
 class LiveLog:
     """Appends and flushes rows of a run in a thread of its own, so that no fix waits for the disk."""
 
-    def __init__(self, target: pathlib.Path, empty: RunLog, onboard: bool) -> None:
+    def __init__(self, target: pathlib.Path, empty: RunLog) -> None:
         """Create the file beside ``target``, the run's log, with the robot, path and planner of an empty log.
-
-        ``onboard``: decision times are on the robot's clock.
 
         Raises:
             InputError: the file cannot be written.
@@ -60,7 +54,6 @@ class LiveLog:
         self._fixes = self._decisions = self._changes = 0
         self._room = len(empty.then)  # a file that others read takes no further groups
         self._unanswered: list[int] = []
-        self._onboard, self._learn = onboard, LEARN in empty.made
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             self._file = h5py.File(self.path, "w", libver="latest")
@@ -89,7 +82,7 @@ class LiveLog:
         writes: list[_Write] = []
         first, self._fixes = self._fixes, len(recording.fixes)
         if self._fixes > first:
-            fixes = fix_columns(recording, first)
+            fixes = recording.fix_columns(first)
             writes += [(f"fixes/{name}", None, values) for name, values in fixes.all_columns().items()]
         for row in self._unanswered:
             if (status := recording.fix_status[row]) is not None:
@@ -100,7 +93,7 @@ class LiveLog:
         self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
         first, self._decisions = self._decisions, len(recording.decisions)
         if self._decisions > first:
-            made = decision_columns(recording, self._onboard, self._learn, first)
+            made = recording.decision_columns(first)
             writes += [(f"decisions/{name}", None, values) for name, values in made.all_columns().items()]
             for number, change in list(enumerate(recording.then))[self._changes : self._room]:
                 self._changes += 1
@@ -179,31 +172,22 @@ class LiveLog:
 
 
 @contextmanager
-def logged(
-    target: pathlib.Path | None,
-    robot: Robot,
-    tables: Tables,
-    path: Path,
-    options: RunOptions,
-    source: str,
-    known: Mapping[str, float] | None = None,
-    made: Mapping[str, str] | None = None,
-) -> Iterator[Callable[[Recording], None]]:
+def logged(target: pathlib.Path | None, recording: Recording) -> Iterator[Callable[[Recording], None]]:
     """Yield a function that keeps a recording in a live log beside ``target``; without one it has no effect.
 
-    ``known`` are numbers for ``RunLog.measured``, ``made`` is ``RunLog.made``.
+    ``recording``: of the run that is to begin.
     """
     if target is None:
         yield lambda _recording: None
         return
-    empty = run_log(Recording(), None, robot, tables, path, options, None, source, made=made)
+    options, path = recording.options, recording.path
     planned = tuple(PathChange(-1, one.path) for one in options.then)
     if options.hold_m is not None:  # where and when each takes over is not known yet
         lap_s = 2.0 * math.pi * options.hold_m / SPEED_MAX_MPS
         again = min(HOLDS_MAX, 2 * (len(planned) + 1) + math.ceil(options.time_limit_s / lap_s))
         planned += (PathChange(-1, path, (0.0, 0.0, 0)),) * again
-    empty = replace(empty, then=planned, measured=known or {}, notes=CUT_OFF)
-    live = LiveLog(target, empty, options.onboard)
+    empty = replace(recording.log(), then=planned, measured=recording.known, notes=CUT_OFF)
+    live = LiveLog(target, empty)
     try:
         yield live.keep
     finally:

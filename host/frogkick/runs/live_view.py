@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from frogkick.core.arrays import AnyArray, Float32, Float64
-from frogkick.core.poses import compose, rotation
+from frogkick.core.poses import Fix, compose, rotation
 from frogkick.paths import Path
 from frogkick.planner import lookup
 from frogkick.planner.plan import PlanConfig, PlanError, plan
 from frogkick.robot import in_a_row
-from frogkick.runs.closed_loop import Recording
 from frogkick.runs.decision import Decision, lost_text
+from frogkick.runs.record import Recording
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.tracked_fixes import CameraView
 from frogkick.tables.image import Tables
@@ -75,30 +75,29 @@ def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) 
 class LiveView:
     """The state of a run as JSON; another thread serves ``text`` to a page."""
 
-    # tables, path, config: of the run; None if nothing is decided, as with a camera alone. The path is the
-    # one that is followed now.
-    tables: Tables | None
-    path: Path | None
-    config: PlanConfig | None
     outline_m: Sequence[tuple[float, float]]  # (n)(2) outline of the robot, body frame
     camera: CameraView | None = None  # where its pictures are shown; the state is given in their pixels too
     text: str = "{}"  # the newest state
-    limbs: Sequence[str] = ()  # their names, to tell what they have lost
+    path: Path | None = None  # the one that is followed now
     _decisions: int = -1
     _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
     _labels: dict[str, Any] = field(default_factory=dict)
 
-    def show(self, recording: Recording, track: Float64 | None = None) -> None:
-        """Show a recording, and the (n, 3) true poses of a simulated pool."""
+    def show(self, recording: Recording) -> None:
+        """Show a run so far."""
         if len(recording.decisions) != self._decisions:
             self._decisions = len(recording.decisions)
-            if recording.then:
-                self.path = recording.then[-1].path
-            self._plan(recording)
-        fixes = np.array([fix.pose_world for fix in recording.fixes]).reshape(-1, 3)
-        newest = recording.fixes[-1] if recording.fixes else None
-        age_s = None if newest is None else newest.delay_s
-        self._write(fixes, np.zeros((0, 3)) if track is None else track, age_s, recording.ended)
+            self.path = recording.then[-1].path if recording.then else recording.path
+            self._plan(recording, self.path)
+        truth = [] if recording.pool is None else recording.pool.truth.pose_world
+        self.show_fixes(recording.fixes, np.array(truth).reshape(-1, 3), recording.ended)
+
+    def show_fixes(self, fixes: Sequence[Fix], track: Float64 | None = None, ended: str = "") -> None:
+        """Show fixes, the (n, 3) true poses of a simulated pool, and why a run ended."""
+        poses = np.array([fix.pose_world for fix in fixes]).reshape(-1, 3)
+        self._write(
+            poses, np.zeros((0, 3)) if track is None else track, fixes[-1].delay_s if fixes else None, ended
+        )
 
     def show_log(self, run: RunLog, time_s: float) -> None:
         """Show a log up to a time."""
@@ -156,24 +155,22 @@ class LiveView:
         ends = np.vstack([corners, [[0.0, 0.0], [corners[:, 0].max(), 0.0]]])
         return np.asarray(poses[-1, :2] + ends @ rotation(poses[-1, 2]).T)
 
-    def _plan(self, recording: Recording) -> None:
+    def _plan(self, recording: Recording, path: Path) -> None:
+        tables = recording.tables
         self._drawn = {"decisions": [], "fan": [], "branch": []}
         self._labels = {"letters": [], "actions": ""}
-        if self.tables is None or self.path is None or self.config is None:
-            return
         last = [decision for decision in recording.decisions if decision.status == 0][-DECISIONS_SHOWN:]
         self._drawn["decisions"] = [decision.estimate[:3].tolist() for decision in last]
-        self._labels["letters"] = [self.tables.actions[decision.action].name for decision in last]
-        if not last or last[-1].action >= len(self.tables.actions):
+        self._labels["letters"] = [tables.actions[decision.action].name for decision in last]
+        if not last or last[-1].action >= len(tables.actions):
             return
         newest = last[-1]
-        worn = self.tables.worn(newest.lost)
-        tree = tree_of(worn, self.path, self.config, newest)
+        tree = tree_of(tables.worn(newest.lost), path, recording.options.config, newest)
         self._drawn |= {"fan": np.vstack(tree.fans).tolist(), "branch": tree.branch}
         self._labels |= {
             "actions": tree.names,
             "cost": round(float(newest.cost), 3),
             "distance_mm": round(1e3 * float(newest.distance_m), 1),
             "plan_ms": round(1e-3 * newest.plan_us, 2),
-            "lost": lost_text(newest.lost, self.limbs),
+            "lost": lost_text(newest.lost, [limb.name for limb in recording.robot.limbs]),
         }

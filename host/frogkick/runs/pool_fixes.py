@@ -15,8 +15,8 @@ from frogkick.effects import World
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import Recording
 from frogkick.runs.decision import RESTING
+from frogkick.runs.record import Recording
 from frogkick.tables.image import Tables
 
 LAG_S = 0.1
@@ -67,14 +67,13 @@ class PoolFixes:
     def wait_first(self, timeout_s: float) -> None:
         """Return at once: a simulated camera sees immediately."""
 
-    def follow(self, recording: Recording, onboard: bool) -> None:
-        """Take the strokes that the robot has reported since the last call.
-
-        ``onboard``: decision times are on the robot's clock.
-        """
+    def follow(self, recording: Recording) -> None:
+        """Take the strokes that the robot has reported since the last call."""
         offset_us = recording.clock_offset_us
         for decision in recording.decisions[self._decisions :]:
-            begin_us = decision.scheduled_us + decision.plan_us - (offset_us if onboard else 0)
+            begin_us = (
+                decision.scheduled_us + decision.plan_us - (offset_us if recording.options.onboard else 0)
+            )
             if decision.status == 0:
                 self._strokes.append((begin_us * 1e-6, decision.action))
         self._decisions = len(recording.decisions)
@@ -113,9 +112,6 @@ class PoolFixes:
 
     def actuate(self, limb: int, start_s: float) -> None:
         """No effect: the pins of a real kit are not seen."""
-
-    def close(self) -> None:
-        """Nothing to release."""
 
     def _due(self, due_s: float) -> list[tuple[float, int]]:
         """Take the pulses (pool time, limb) that start by a pool time, in order."""

@@ -1,4 +1,4 @@
-"""The log of a recorded run, and how well the run followed its path."""
+"""What a run has recorded, its log, and how well it followed its path."""
 
 from __future__ import annotations
 
@@ -7,27 +7,36 @@ import math
 import pathlib
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from frogkick.core.errors import InputError
-from frogkick.core.poses import wrap_angle
+from frogkick.core.poses import Fix, wrap_angle
 from frogkick.core.version import VERSION
 from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.follow import End
+from frogkick.link.wire import Edge
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import Recording, RunOptions
-from frogkick.runs.decision import NOTHING_LOST
-from frogkick.runs.path_change import hold_spans
-from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Tracking, Truth
+from frogkick.runs.decision import NOTHING_LOST, Decision, LiveCheck, RobotEvent
+from frogkick.runs.path_change import NextPath, hold_spans
+from frogkick.runs.runlog import (
+    DecisionFlag,
+    Decisions,
+    Fixes,
+    PathChange,
+    RunLog,
+    Strokes,
+    Tracking,
+    Truth,
+)
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
@@ -53,134 +62,193 @@ _INTEGERS = {"depth": (1, 4), "cost": (0, 1), "transitions_max": (0, 1e7)}
 """Limits of the planner's integer settings."""
 
 
-def decision_columns(recording: Recording, onboard: bool, learn: bool, first: int = 0) -> Decisions:
-    """Decisions as log columns, from row ``first`` on; ``learn``: also what each limb has lost.
+@dataclass(frozen=True)
+class RunOptions:
+    """Settings of a run."""
 
-    The host decides on its own clock. Its planning times are left out, so that a seed gives the same log.
-    """
-    decisions = recording.decisions[first:]
-    offset_us = recording.clock_offset_us if onboard else 0
-    fixes = reversed(list(enumerate(recording.fixes)))
-    fix_rows = {fix.sequence: row for row, fix in fixes}  # the first row of a duplicate
-    failed = np.array([d.status != 0 for d in decisions], dtype=bool)
-    planned = np.where(failed, np.nan, 1.0)
-
-    def integers(name: str) -> np.ndarray:
-        return np.array([getattr(d, name) for d in decisions], dtype=np.int64)
-
-    def states(name: str) -> np.ndarray:
-        return np.array([getattr(d, name) for d in decisions], dtype=np.float64).reshape(-1, 6)
-
-    return Decisions(
-        time_s=(integers("scheduled_us") - offset_us) * 1e-6,
-        action=integers("action"),
-        fix_sequence=np.array([fix_rows.get(d.fix_sequence, -1) if d.fixes else -1 for d in decisions]),
-        flags=np.where(failed, int(DecisionFlag.NO_PLAN), 0),
-        cost=np.array([float(d.cost) for d in decisions]) * planned,
-        estimate=states("estimate") * planned[:, None],
-        predicted=states("predicted") * planned[:, None],
-        plan_s=integers("plan_us") * 1e-6 * planned if onboard else None,
-        extra={
-            **{name: integers(name) for name in ("status", "path_index", "scheduled_us")},
-            "limb_use": integers("limb_use").reshape(-1, LIMBS_MAX),
-            **({"lost": integers("lost").reshape(-1, LIMBS_MAX)} if learn else {}),
-        },
-    )
+    config: PlanConfig  # cost weights and depth of the planner
+    onboard: bool = True  # True: the robot's planner decides; False: the twin on the host
+    time_limit_s: float = 120.0  # longest time from the first decision on
+    check: LiveCheck | None = None  # compares each decision of the robot with the host's; None: no comparison
+    stop: Callable[[], bool] = lambda: False  # polled at each step; True ends the run
+    learn: bool = False  # whoever decides learns what the limbs have lost, and plans with it
+    then: tuple[NextPath, ...] = ()  # paths that take over during the run, in the order of their times
+    # radius of the circle on which the robot holds at its path's end, m; None: the run ends there
+    hold_m: float | None = None
 
 
-def fix_columns(recording: Recording, first: int = 0) -> Fixes:
-    """Fixes as log columns, from row ``first`` on."""
-    fixes = recording.fixes[first:]
-    poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64).reshape(-1, 3)
-    count = len(fixes)
-    return Fixes(
-        time_s=np.array(recording.sent_s[first:]),
-        capture_time_s=np.array([fix.capture_s for fix in fixes]),
-        x_m=poses[:, 0],
-        y_m=poses[:, 1],
-        heading_rad=wrap_angle(poses[:, 2]),
-        quality=np.ones(count, dtype=np.uint8),
-        flags=np.zeros(count, dtype=np.uint16),
-        extra={
-            "sequence": np.array([fix.sequence for fix in fixes], dtype=np.int64),
-            # -1: the robot refused the fix; status 1: it gave no answer.
-            "robot_capture_us": np.array(
-                [-1 if us is None else us for us in recording.capture_us[first:]], dtype=np.int64
+@dataclass
+class Recording:
+    """A run: what is followed, how, and all that has happened so far. ``log`` tells it in columns."""
+
+    robot: Robot
+    tables: Tables
+    path: Path
+    options: RunOptions
+    # source, seed, made: as in ``RunLog``; known: further numbers for ``RunLog.measured``
+    source: str = ""
+    seed: int | None = None
+    known: Mapping[str, float] = field(default_factory=dict)
+    made: Mapping[str, str] = field(default_factory=dict)
+    pool: Pool | None = None  # the simulated pool, which knows the true poses; None: a real run
+    # fixes, sent_s: fixes in the order of sending, and when each was sent, session time
+    fixes: list[Fix] = field(default_factory=list)
+    sent_s: list[float] = field(default_factory=list)
+    # capture time of each fix on the robot's clock; None if the robot refused it
+    capture_us: list[int | None] = field(default_factory=list)
+    # the robot's answer to each fix (``frames.toml``); None if no answer came
+    fix_status: list[int | None] = field(default_factory=list)
+    # inputs of the robot's estimator and planner, in its order: they reproduce its decisions
+    events: list[RobotEvent] = field(default_factory=list)
+    # decisions, edges: decisions and pin edges in order
+    decisions: list[Decision] = field(default_factory=list)
+    edges: list[Edge] = field(default_factory=list)
+    then: list[PathChange] = field(default_factory=list)  # paths that took over, and from which decision on
+    completed: bool = False  # the robot reached the path's end, or held it until the run was ended
+    ended: str = ""  # why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED
+    fixes_refused: int = 0  # the robot's own counter
+    # first_decision_s, end_s: session time
+    first_decision_s: float = 0.0
+    end_s: float = 0.0
+    clock_offset_us: int = 0  # robot time minus session time; 0 in simulated time
+
+    def decision_columns(self, first: int = 0) -> Decisions:
+        """Decisions as log columns, from row ``first`` on.
+
+        The host decides on its own clock. Its planning times are left out, so that a seed gives the same log.
+        """
+        decisions, onboard = self.decisions[first:], self.options.onboard
+        offset_us = self.clock_offset_us if onboard else 0
+        fixes = reversed(list(enumerate(self.fixes)))
+        fix_rows = {fix.sequence: row for row, fix in fixes}  # the first row of a duplicate
+        failed = np.array([d.status != 0 for d in decisions], dtype=bool)
+        planned = np.where(failed, np.nan, 1.0)
+
+        def integers(name: str) -> np.ndarray:
+            return np.array([getattr(d, name) for d in decisions], dtype=np.int64)
+
+        def states(name: str) -> np.ndarray:
+            return np.array([getattr(d, name) for d in decisions], dtype=np.float64).reshape(-1, 6)
+
+        return Decisions(
+            time_s=(integers("scheduled_us") - offset_us) * 1e-6,
+            action=integers("action"),
+            fix_sequence=np.array([fix_rows.get(d.fix_sequence, -1) if d.fixes else -1 for d in decisions]),
+            flags=np.where(failed, int(DecisionFlag.NO_PLAN), 0),
+            cost=np.array([float(d.cost) for d in decisions]) * planned,
+            estimate=states("estimate") * planned[:, None],
+            predicted=states("predicted") * planned[:, None],
+            plan_s=integers("plan_us") * 1e-6 * planned if onboard else None,
+            extra={
+                **{name: integers(name) for name in ("status", "path_index", "scheduled_us")},
+                "limb_use": integers("limb_use").reshape(-1, LIMBS_MAX),
+                **({"lost": integers("lost").reshape(-1, LIMBS_MAX)} if self.options.learn else {}),
+            },
+        )
+
+    def fix_columns(self, first: int = 0) -> Fixes:
+        """Fixes as log columns, from row ``first`` on."""
+        fixes = self.fixes[first:]
+        poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64).reshape(-1, 3)
+        count = len(fixes)
+        return Fixes(
+            time_s=np.array(self.sent_s[first:]),
+            capture_time_s=np.array([fix.capture_s for fix in fixes]),
+            x_m=poses[:, 0],
+            y_m=poses[:, 1],
+            heading_rad=wrap_angle(poses[:, 2]),
+            quality=np.ones(count, dtype=np.uint8),
+            flags=np.zeros(count, dtype=np.uint16),
+            extra={
+                "sequence": np.array([fix.sequence for fix in fixes], dtype=np.int64),
+                # -1: the robot refused the fix; status 1: it gave no answer.
+                "robot_capture_us": np.array(
+                    [-1 if us is None else us for us in self.capture_us[first:]], dtype=np.int64
+                ),
+                "robot_status": np.array(
+                    [1 if status is None else status for status in self.fix_status[first:]], dtype=np.int64
+                ),
+            },
+        )
+
+    def log(self) -> RunLog:
+        """The log of the run so far."""
+        robot, tables, options, truth = self.robot, self.tables, self.options, None
+        pulses = pulses_of(self.edges, self.end_s)
+        starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
+        masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
+        tracked = self.tracking()
+        numbers = tracked.as_json()
+        if not options.onboard:
+            del numbers["plan_ms_p99"]
+        lost, limbs = {}, [limb.name for limb in robot.limbs]
+        if options.learn and self.decisions:
+            shares = [code / LOST_MAX for code in self.decisions[-1].lost]
+            lost = {LOST + limb: share for limb, share in zip(limbs, shares, strict=False)}
+        if self.pool is not None:
+            seen = self.pool.truth
+            truth = Truth(
+                np.array(seen.time_s),
+                np.array(seen.pose_world).reshape(-1, 3),
+                np.array(seen.velocity_body).reshape(-1, 3),
+            )
+        return RunLog(
+            robot_id=robot.id,
+            source=self.source,
+            period_s=tables.period_us * 1e-6,
+            pulse_s=tables.pulse_us * 1e-6,
+            action_names=tuple(action.name for action in robot.actions),
+            fixes=self.fix_columns(),
+            decisions=self.decision_columns(),
+            strokes=Strokes(
+                time_s=np.array([start for start, _ in starts]),
+                limb_mask=np.array(masks, dtype=np.int64),
+                pulse_s=np.array([end - start for start, end in starts]),
             ),
-            "robot_status": np.array(
-                [1 if status is None else status for status in recording.fix_status[first:]], dtype=np.int64
-            ),
-        },
-    )
+            path=self.path,
+            then=tuple(self.then),
+            truth=truth,
+            table_crc=tables.crc32,
+            seed=self.seed,
+            notes=_ended(self.ended, lost),
+            measured={key: float(n) for key, n in numbers.items() if n is not None and np.isfinite(n)}
+            | lost
+            | dict(self.known),
+            planner={key: float(value) for key, value in asdict(options.config).items()},
+            made={**self.made, **({LEARN: ", ".join(limbs)} if options.learn else {})},
+            tracked=tracked,
+        )
 
-
-def run_log(
-    recording: Recording,
-    pool: Pool | None,
-    robot: Robot,
-    tables: Tables,
-    path: Path,
-    options: RunOptions,
-    seed: int | None,
-    source: str,
-    known: Mapping[str, float] | None = None,
-    made: Mapping[str, str] | None = None,
-) -> RunLog:
-    """The log of a run.
-
-    Args:
-        recording: of ``run_session``.
-        pool: the simulated pool, which knows the true poses; None: a real run.
-        robot, tables, path, options: of the run.
-        seed, source, made: as in ``RunLog``.
-        known: further numbers for ``RunLog.measured``.
-    """
-    pulses = pulses_of(recording.edges, recording.end_s)
-    starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
-    masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
-    tracked = tracking_of_recording(recording, pool, robot, path)
-    numbers = tracked.as_json()
-    if not options.onboard:
-        del numbers["plan_ms_p99"]
-    lost = {}
-    if options.learn and recording.decisions:
-        shares = [code / LOST_MAX for code in recording.decisions[-1].lost]
-        lost = {LOST + limb.name: share for limb, share in zip(robot.limbs, shares, strict=False)}
-    return RunLog(
-        robot_id=robot.id,
-        source=source,
-        period_s=tables.period_us * 1e-6,
-        pulse_s=tables.pulse_us * 1e-6,
-        action_names=tuple(action.name for action in robot.actions),
-        fixes=fix_columns(recording),
-        decisions=decision_columns(recording, options.onboard, options.learn),
-        strokes=Strokes(
-            time_s=np.array([start for start, _ in starts]),
-            limb_mask=np.array(masks, dtype=np.int64),
-            pulse_s=np.array([end - start for start, end in starts]),
-        ),
-        path=path,
-        then=tuple(recording.then),
-        truth=None
-        if pool is None
-        else Truth(
-            np.array(pool.truth.time_s),
-            np.array(pool.truth.pose_world).reshape(-1, 3),
-            np.array(pool.truth.velocity_body).reshape(-1, 3),
-        ),
-        table_crc=tables.crc32,
-        seed=seed,
-        notes=_ended(recording.ended, lost),
-        measured={key: float(n) for key, n in numbers.items() if n is not None and np.isfinite(n)}
-        | lost
-        | dict(known or {}),
-        planner={key: float(value) for key, value in asdict(options.config).items()},
-        made={
-            **(made or {}),
-            **({LEARN: ", ".join(limb.name for limb in robot.limbs)} if options.learn else {}),
-        },
-        tracked=tracked,
-    )
+    def tracking(self) -> Tracking:
+        """How well the path was followed, by the true poses of a simulated pool or by the fixes."""
+        if self.pool is None:
+            taken = [f for f, status in zip(self.fixes, self.fix_status, strict=True) if status == 0]
+            time_s = np.array([fix.capture_s for fix in taken])
+            poses = np.array([fix.pose_world for fix in taken], dtype=np.float64).reshape(-1, 3)
+        else:
+            truth = self.pool.truth
+            time_s, poses = np.array(truth.time_s), np.array(truth.pose_world).reshape(-1, 3)
+        during = (time_s >= self.first_decision_s) & (time_s <= self.end_s)
+        plan_ms = [d.plan_us * 1e-3 for d in self.decisions if d.status == 0]
+        pulses = pulses_of(self.edges, self.end_s)
+        after_us = [d.scheduled_us - self.decisions[0].scheduled_us for d in self.decisions]
+        decided_s = self.first_decision_s + 1e-6 * np.array(after_us, dtype=np.float64)
+        paths = [(-np.inf, self.path)] + [(float(decided_s[one.decision]), one.path) for one in self.then]
+        held = hold_spans(decided_s, [d.path_index for d in self.decisions], self.then)
+        holds_s = held[0][0] if held else np.inf
+        mean_m, p95_m, progress_mps = along_paths(paths, time_s[during], poses[during], holds_s)
+        return Tracking(
+            mean_distance_m=mean_m,
+            p95_distance_m=p95_m,
+            progress_mps=progress_mps,
+            completed=self.completed,
+            decisions=len(self.decisions),
+            fixes_lost=self.fixes_refused,
+            limit_violations=None
+            if self.pool is None and not pulses
+            else len(violations(self.robot, pulses)),
+            plan_ms_p99=float(np.percentile(plan_ms, 99)) if plan_ms else 0.0,
+        )
 
 
 def _ended(ended: str, lost: Mapping[str, float]) -> str:
@@ -279,35 +347,6 @@ def config_of_log(run: RunLog) -> PlanConfig:
             )
         values[entry.name] = int(value) if is_integer else value
     return PlanConfig(**values)
-
-
-def tracking_of_recording(recording: Recording, pool: Pool | None, robot: Robot, path: Path) -> Tracking:
-    """How well a run followed its path, by the true poses of a simulated pool or by the fixes."""
-    if pool is None:
-        taken = [f for f, status in zip(recording.fixes, recording.fix_status, strict=True) if status == 0]
-        time_s = np.array([fix.capture_s for fix in taken])
-        poses = np.array([fix.pose_world for fix in taken], dtype=np.float64).reshape(-1, 3)
-    else:
-        time_s, poses = np.array(pool.truth.time_s), np.array(pool.truth.pose_world).reshape(-1, 3)
-    during = (time_s >= recording.first_decision_s) & (time_s <= recording.end_s)
-    plan_ms = [d.plan_us * 1e-3 for d in recording.decisions if d.status == 0]
-    pulses = pulses_of(recording.edges, recording.end_s)
-    after_us = [d.scheduled_us - recording.decisions[0].scheduled_us for d in recording.decisions]
-    decided_s = recording.first_decision_s + 1e-6 * np.array(after_us, dtype=np.float64)
-    paths = [(-np.inf, path)] + [(float(decided_s[one.decision]), one.path) for one in recording.then]
-    held = hold_spans(decided_s, [d.path_index for d in recording.decisions], recording.then)
-    holds_s = held[0][0] if held else np.inf
-    mean_m, p95_m, progress_mps = along_paths(paths, time_s[during], poses[during], holds_s)
-    return Tracking(
-        mean_distance_m=mean_m,
-        p95_distance_m=p95_m,
-        progress_mps=progress_mps,
-        completed=recording.completed,
-        decisions=len(recording.decisions),
-        fixes_lost=recording.fixes_refused,
-        limit_violations=None if pool is None and not pulses else len(violations(robot, pulses)),
-        plan_ms_p99=float(np.percentile(plan_ms, 99)) if plan_ms else 0.0,
-    )
 
 
 def along_path(path: Path, time_s: np.ndarray, poses_world: np.ndarray) -> tuple[float, float, float]:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
+import pathlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from frogkick.effects import World
 from frogkick.link.wire import RobotPort
-from frogkick.paths import SHAPES, shape
+from frogkick.paths import SHAPES, Path, shape
 from frogkick.planner.plan import config_of
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
-from frogkick.runs.record import run_log
-from frogkick.runs.runlog import RunLog, Tracking
+from frogkick.runs.closed_loop import run_session
+from frogkick.runs.record import Recording, RunOptions
+from frogkick.runs.runlog import Tracking
 from frogkick.runs.session import Session
-from frogkick.runs.summary import tracking_of_log
 from frogkick.tables.image import Tables
 
 TIME_LIMIT_S = 90.0
@@ -29,53 +27,38 @@ SEEDS = 2
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One run in a pool."""
-
-    recording: Recording
-    log: RunLog
-
-    @property
-    def tracking(self) -> Tracking:
-        """How well it followed its path."""
-        return tracking_of_log(self.log)
-
-
 def swim(
     port: RobotPort,
     tables: Tables,
     robot: Robot,
-    name: str,
+    path: Path,
     options: RunOptions,
     seed: int | Sequence[int],
     source: str,
     world: World = World(),  # noqa: B008 - frozen
+    start_world: tuple[float, float, float] | None = None,
     progress: Progress = lambda _done, _whole: None,
-) -> Trial:
-    """Follow a path from its first point on.
+) -> Recording:
+    """Follow a path in a pool.
 
     Args:
         port, tables: the robot, and its own tables.
         robot: the swimmer in the pool.
-        name: of the path.
         options, source: of the run.
         seed: of the camera's noise; the log keeps the first of several.
         world: effects in the pool; a new object for each run.
+        start_world: pose of the robot at rest; None: at the path's first point, along it.
         progress: called with the path points passed and all path points.
     """
-    path = shape(name)
-    start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
+    start = start_world or (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     pool = Pool(robot, start, Camera(), np.random.default_rng(seed), world)
-    recording = run_session(
-        Session(port), pool, tables, path, options, lambda _time_s, index: progress(index + 1, len(path))
-    )
     first = seed if isinstance(seed, int) else int(seed[0])
-    return Trial(recording, run_log(recording, pool, robot, tables, path, options, first, source))
+    recording = Recording(robot, tables, path, options, source, first, pool=pool)
+    return run_session(Session(port), pool, recording, lambda _time_s, index: progress(index + 1, len(path)))
 
 
 def trials(
-    core: Path,
+    core: pathlib.Path,
     tables: Tables,
     robot: Robot,
     world: Callable[[], World],
@@ -83,8 +66,8 @@ def trials(
     seeds: int = SEEDS,
     time_limit_s: float = TIME_LIMIT_S,
     progress: Progress = lambda _done, _whole: None,
-) -> list[Trial]:
-    """Follow paths with the robot's core on this computer, each with several seeds.
+) -> list[Tracking]:
+    """How well paths are followed with the robot's core on this computer, each with several seeds.
 
     Args:
         core: image of the target "native" with these tables.
@@ -94,11 +77,12 @@ def trials(
         progress: called with runs done and all runs.
     """
     options = RunOptions(config_of(robot.planner), time_limit_s=time_limit_s)
-    found: list[Trial] = []
+    found: list[Tracking] = []
     for name in paths:
         for seed in range(seeds):
             progress(len(found), len(paths) * seeds)
             port = NativeRobot(core, len(robot.limbs))
-            found.append(swim(port, tables, robot, name, options, [seed, 7], "trial", world()))
+            swum = swim(port, tables, robot, shape(name), options, [seed, 7], "trial", world())
+            found.append(swum.tracking())
     progress(len(found), len(found))
     return found

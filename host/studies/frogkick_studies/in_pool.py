@@ -31,9 +31,8 @@ from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import RunOptions, run_session
-from frogkick.runs.record import tracking_of_recording
-from frogkick.runs.session import Session
+from frogkick.runs.record import RunOptions
+from frogkick.runs.trial import swim
 from frogkick.tables.image import read_image
 from frogkick_codegen.firmware import build
 
@@ -294,22 +293,20 @@ def _warm(ready: _Ready) -> None:
 def _run(ready: _Ready, case: Case) -> Outcome:
     planner = ready.planners[case.planner]
     course = ready.courses.get(case.path) or course_of(case.path)
-    world, rng = ready.settings[case.world].world(), np.random.default_rng(case.seed)
-    pool = Pool(ready.robot, course.start_world, Camera(), rng, world)
-    recording = run_session(
-        Session(NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs))),
-        pool,
+    swum = swim(
+        NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs)),
         ready.tables[planner.table],
+        ready.robot,
         course.path,
         RunOptions(planner.config, not planner.learn, TIME_LIMIT_S, learn=planner.learn),
+        case.seed,
+        "study",
+        ready.settings[case.world].world(),
+        course.start_world,
     )
-    tracked = tracking_of_recording(recording, pool, ready.robot, course.path)
+    tracked = swum.tracking()
     return Outcome(
-        tracked.mean_distance_m,
-        tracked.progress_mps,
-        recording.completed,
-        recording.ended,
-        tracked.decisions,
+        tracked.mean_distance_m, tracked.progress_mps, swum.completed, swum.ended, tracked.decisions
     )
 
 

@@ -26,7 +26,6 @@ from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
-from frogkick.front.places import start_pose
 from frogkick.front.tables import robot_of_table, table_image
 from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.fit import rollouts_of
@@ -40,14 +39,11 @@ from frogkick.identification.verdict import (
 )
 from frogkick.paths import shape
 from frogkick.planner.plan import config_of
-from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.pool import Pool
 from frogkick.report import style
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import RunOptions, run_session
-from frogkick.runs.record import run_log
-from frogkick.runs.session import Session
+from frogkick.runs.record import RunOptions
+from frogkick.runs.trial import swim
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build, require_tools
 from frogkick_studies import Found
@@ -149,19 +145,17 @@ def _start(robot: Robot, tables: Path, library: Path, folder: Path, laws: bool) 
 
 def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence[str]) -> list[Segments]:
     """Runs of the simulated robot along paths in a world, as identification reads them from logs."""
-    swims = []
+    swims, source = [], "study verdicts"
     for index, name in enumerate(paths):
-        path = shape(name)
         world = World(make_effects(planted, ready.folder))
-        pool = Pool(ready.robot, start_pose(path), Camera(), np.random.default_rng([seed, index]), world)
         config = config_of(ready.robot.planner)
         if name in TEST:
             hurry = HURRY * config.progress_weight_per_m
             config = dataclasses.replace(config, progress_weight_per_m=hurry)
         options = RunOptions(config, time_limit_s=TIME_LIMIT_S)
         port = NativeRobot(ready.library, len(ready.robot.limbs))
-        recording = run_session(Session(port), pool, ready.tables, path, options)
-        log = run_log(recording, pool, ready.robot, ready.tables, path, options, seed, "study verdicts")
+        swum = swim(port, ready.tables, ready.robot, shape(name), options, [seed, index], source, world)
+        log = swum.log()
         swims.append(segments_of(dataclasses.replace(log, truth=None), f"{name}-{index}", ready.robot))
     return swims
 

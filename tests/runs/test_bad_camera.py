@@ -75,7 +75,7 @@ def test_fixes_lost_are_those_that_the_robot_refused() -> None:
 @pytest.mark.parametrize("place", ["virtual", "pool"])
 def test_the_log_is_decided_again_as_it_was(place: str) -> None:
     log = log_of("pool")
-    again = replay(log, rig.tables(), run("pool")[2].config, rig.port(place), host=True)
+    again = replay(log, rig.tables(), run("pool").options.config, rig.port(place), host=True)
     assert again.differences == []
     assert again.agreement == 1.0
     assert (log.fixes.extra["robot_status"] == STATUS["DOUBLE"]).any()

@@ -9,7 +9,6 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -130,7 +129,6 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
                 lab,
                 rig.small_table(),
                 rig.recording(shape("line"), RunOptions(PlanConfig(depth=1))),
-                lambda *_: nullcontext(),
                 print,
             )
         assert done == compiled

@@ -193,4 +193,4 @@ def replay_fetched(
     from frogkick.front.replaying import replay_log
 
     found = replay_log(file, tables=tables, model=model, progress=True)
-    show(found.as_json(), json, passed=not found.result.mismatches)
+    show(found.as_json(), json, passed=not found.mismatches)

@@ -19,7 +19,8 @@ from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.courses import require_room
 from frogkick.front.places import built_firmware, start_pose
-from frogkick.front.run_progress import SLOW_S, Keep
+from frogkick.front.run_progress import SLOW_S
+from frogkick.front.viewing import viewed
 from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
@@ -33,10 +34,11 @@ from frogkick.robot import Robot
 from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, run_session
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
+from frogkick.runs.live_log import logged
 from frogkick.runs.live_view import tree_of
 from frogkick.runs.path_change import NextPath
 from frogkick.runs.pool_fixes import PoolFixes
-from frogkick.runs.record import Recording
+from frogkick.runs.record import Recording, made_of
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.text_robot import TextRobot
 from frogkick.runs.tracked_fixes import CameraFixes, LineFixes
@@ -247,27 +249,26 @@ class Bench:
         dialect: its protocol.
         sight: the source of its position fixes, and where its path begins.
         battery_v: voltage of its lowest battery, measured with a meter; None: not measured.
-        film: the log beside which the camera's pictures are recorded; None: they are not recorded.
+        out: the log that grows while the robot swims; None: none is written.
+        film: the camera's pictures are recorded beside it.
         operator: the person who is asked before arming and may stop the run.
         wire: an open link to the robot; None: a link is opened, and closed after the run.
         key: file of its owner's key; None: the user's own.
         drawn: a page shows the run and what the planner expects.
+        stop: called by the page's button.
     """
 
     name: str
     dialect: str
     sight: Sight
     battery_v: float | None = None
-    film: Path | None = None
+    out: Path | None = None
+    film: bool = False
     operator: Operators = no_operator
     wire: Wire | None = None
     key: Path | None = None
     drawn: bool = False
-
-
-Kept = Callable[[CameraFixes | None, float], AbstractContextManager[Keep]]
-"""Makes the log that grows with a recording. Its arguments are the camera if there is one, and the wall clock
-at the session's time 0 (s since 1970)."""
+    stop: Callable[[], None] | None = None
 
 
 def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: bool) -> None:
@@ -284,11 +285,7 @@ def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: 
 
 
 def run_on_bench(
-    bench: Bench,
-    image: Path,
-    recording: Recording,
-    kept: Kept,
-    progress: Callable[[float, int], None],
+    bench: Bench, image: Path, recording: Recording, progress: Callable[[float, int], None]
 ) -> None:
     """Run a real robot. The robot is disarmed however the run ends.
 
@@ -298,7 +295,6 @@ def run_on_bench(
         bench: the robot and its surroundings.
         image: table image of the recording's tables.
         recording: says what to follow; its paths are placed, and the run is recorded in it.
-        kept: makes the log that grows with the recording.
         progress: see ``run_session``.
     """
     robot, tables = recording.robot, recording.tables
@@ -333,16 +329,19 @@ def run_on_bench(
         for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
             tell(line)
         session.rest(tell)
-        if bench.film is not None and camera is not None:
-            video = Video(bench.film, time.monotonic() - session.port.now_s)
+        if bench.out is not None and bench.film and camera is not None:
+            video = Video(bench.out, time.monotonic() - session.port.now_s)
             stack.callback(video.close)
             stack.callback(camera.close)  # before the video: its thread writes there
             camera.film(video)
         recording.path, recording.options = path, options
-        write = stack.enter_context(kept(camera, time.time() - session.port.now_s))
+        recording.made = made_of(robot, tables, time.time() - session.port.now_s)
+        write = stack.enter_context(logged(bench.out, recording))
+        draw = stack.enter_context(viewed(bench.drawn, recording, camera, bench.stop))
 
         def keep(grown: Recording) -> None:
             write(grown)
+            draw(grown)
             if isinstance(fixes, PoolFixes):
                 fixes.follow(grown)
 

@@ -29,7 +29,6 @@ from frogkick.runs.record import lost_at_start
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run
 from frogkick.runs.session import Session
-from frogkick.tables.image import Tables
 from frogkick_codegen.firmware import require_tools
 
 
@@ -156,39 +155,13 @@ def fetch_log(target: str, out: Path | None = None, progress: Progress = False) 
     return fetched
 
 
-@dataclass(frozen=True, eq=False)
-class LogReplayed:
-    """A robot's own log whose decisions were repeated with tables."""
-
-    result: LogReplay
-    tables: Tables
-
-    def as_json(self) -> dict[str, Any]:
-        """The keys of the command ``log replay``."""
-        result = self.result
-        names = [row.name for row in self.tables.actions] + ["-"]  # for decisions without a plan
-        values: dict[str, Any] = {
-            "records": result.records,
-            "replayed": result.replayed,
-            "segments": result.segments,
-            "decisions": len(result.decisions),
-            "actions": in_a_row([names[decision.action] for decision in result.decisions]),
-            "mismatches": len(result.mismatches),
-        }
-        if result.mismatches:
-            first = result.mismatches[0]
-            time_s = first.time_us * 1e-6
-            values["first_mismatch"] = {"time_s": time_s, "place": first.place, "what": first.what}
-        return values
-
-
 def replay_log(
     log: FetchedLog | Path | str,
     *,
     tables: Path | None = None,
     model: str | None = None,
     progress: Progress = False,
-) -> LogReplayed:
+) -> LogReplay:
     """Repeat the decisions of a robot's log by the C core on this computer and by the Python twin.
 
     Args:
@@ -218,4 +191,4 @@ def replay_log(
             f"no decision in {name} can be repeated with table {opened.crc32:08x}, because the robot used "
             f"{fetched.table_crc:08x}: give its table with --tables, or fetch after an ARM"
         )
-    return LogReplayed(found, opened)
+    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +16,6 @@ from frogkick.runs.record import CANNOT_FOLLOW, Recording
 from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.summary import bends_of
-
-Keep = Callable[[Recording], None]
-"""What is told of a recording that grows."""
 
 SLOW_S = 2.0
 FAR_M = 0.01

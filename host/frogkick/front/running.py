@@ -6,8 +6,8 @@ import copy
 import os
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
@@ -49,7 +49,7 @@ from frogkick.front.places import (
     start_pose,
     swim_path,
 )
-from frogkick.front.run_progress import Keep, RunProgress, log_so_far, reports_partial_log
+from frogkick.front.run_progress import RunProgress, log_so_far, reports_partial_log
 from frogkick.front.tables import Table, load_table
 from frogkick.front.viewing import played, viewed
 from frogkick.link.wire import Wire, is_target
@@ -60,7 +60,7 @@ from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed, require_time, run_session
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
-from frogkick.runs.live_log import logged, part_of
+from frogkick.runs.live_log import part_of
 from frogkick.runs.record import (
     BATTERY_V,
     Recording,
@@ -75,7 +75,6 @@ from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.session import Session
 from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
-from frogkick.runs.tracked_fixes import CameraFixes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -330,23 +329,11 @@ def run(
         if is_real:
             sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
             owner = None if key is None else Path(key)
-            film = target if video else None
-            bench = Bench(robot, dialect, sight, battery_v, film, operator, wire, owner, view)
-
-            @contextmanager
-            def kept(camera: CameraFixes | None, began_unix_s: float) -> Iterator[Keep]:
-                recording.made = made_of(described, used.tables, began_unix_s)
-                log = logged(target, recording)
-                with log as write, viewed(view, recording, camera, stopped.set) as draw:
-
-                    def keep(grown: Recording) -> None:
-                        write(grown)
-                        draw(grown)
-
-                    yield keep
-
+            bench = Bench(
+                robot, dialect, sight, battery_v, target, video, operator, wire, owner, view, stopped.set
+            )
             stack.enter_context(reports_partial_log(target))
-            run_on_bench(bench, image, recording, kept, said.progress)
+            run_on_bench(bench, image, recording, said.progress)
         else:
             with said.preparing():
                 port = stack.enter_context(

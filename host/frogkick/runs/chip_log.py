@@ -23,6 +23,7 @@ from frogkick.core.shared_library import load
 from frogkick.link.frames import pack_raw
 from frogkick.link.layout import link_layout, supervisor
 from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record, Stretch, records_of
+from frogkick.robot import in_a_row
 from frogkick.runs.chip_twin import ChipTwin
 from frogkick.runs.decision import Decision
 from frogkick.runs.runlog_file import hdf5_to_write
@@ -134,7 +135,24 @@ class LogReplay:
     replayed: int = 0
     segments: int = 0  # number of snapshots at which the replay started
     decisions: list[Decision] = field(default_factory=list)  # of the twin
+    actions: list[str] = field(default_factory=list)  # their names; "-" without a plan
     mismatches: list[Mismatch] = field(default_factory=list)  # in order of time
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``log replay``."""
+        values: dict[str, Any] = {
+            "records": self.records,
+            "replayed": self.replayed,
+            "segments": self.segments,
+            "decisions": len(self.decisions),
+            "actions": in_a_row(self.actions),
+            "mismatches": len(self.mismatches),
+        }
+        if self.mismatches:
+            first = self.mismatches[0]
+            time_s = first.time_us * 1e-6
+            values["first_mismatch"] = {"time_s": time_s, "place": first.place, "what": first.what}
+        return values
 
 
 @dataclass(frozen=True)
@@ -285,7 +303,9 @@ class _Segment:
             for what in twin.replay(record):
                 self._report(record, "twin", what)
             self.found.replayed += 1
+        names = [row.name for row in tables.actions] + ["-"]
         self.found.decisions += twin.decisions
+        self.found.actions += [names[decision.action] for decision in twin.decisions]
         return len(self.records)
 
     def _is_cut(self, index: int) -> bool:

@@ -28,13 +28,13 @@ from frogkick.planner.plan import config_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_check import ChipReport, check_on_chip
+from frogkick.runs.closed_loop import swim
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import RunOptions
 from frogkick.runs.replay import compare, replay_on_host
 from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.summary import Residual, residual, tracking_of_log
-from frogkick.runs.trial import swim
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.emit import emit
 from frogkick_codegen.firmware import Firmware, build

@@ -49,7 +49,7 @@ def main(seconds: float) -> None:
             yield Frame(pictures[sequence % len(pictures)], time.monotonic(), sequence, True)
 
     warm_up(rig.tables(), shape(PATH), PlanConfig(depth=3))
-    path = Sight("stdin", begin="here").placed(shape(PATH), START)
+    path = Sight("stdin", begin="here").placed(shape(PATH), (), START)[0]
     options = RunOptions(PlanConfig(depth=3), False, seconds)
     strokes: list[tuple[float, float]] = []
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:

@@ -128,7 +128,7 @@ def test_a_camera_that_freezes_while_the_robot_runs(
     hangs: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = LiveRobot()
-    path = Sight("stdin", begin="here").placed(shape(PATH), START)
+    path = Sight("stdin", begin="here").placed(shape(PATH), (), START)[0]
     driver = Camera(robot, 40, hangs)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         source = CameraFixes(live_frames(driver, "camera 3"), calibration(SCENE), "camera 3")

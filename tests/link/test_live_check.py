@@ -19,7 +19,7 @@ from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import TIME, run_session
-from frogkick.runs.decision import LiveCheck
+from frogkick.runs.decision import DecisionTwin, LiveCheck
 from frogkick.runs.lab_session import LabPort, LabSession
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.record import RunOptions
@@ -130,10 +130,11 @@ def test_a_mismatch_is_a_check_that_failed(
 ) -> None:
     """Exit 1, one line. Here the host's planner is given another weight than the robot."""
     begin = LiveCheck.begin
+    other = PlanConfig(angle_weight_per_rad=51.0)
     monkeypatch.setattr(
         LiveCheck,
         "begin",
-        lambda self, tables, path, *_others: begin(self, tables, path, PlanConfig(angle_weight_per_rad=51.0)),
+        lambda self, twin: begin(self, DecisionTwin(twin.tables, shape("sine"), other)),
     )
     options = ["--tables", rig.small_table(), "--robot", "pool", "--path", "sine", "--simulated-time", "6"]
     told = frogkick(capsys, "run", *options, "--plan", "both", "--json")

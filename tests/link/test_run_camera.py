@@ -74,7 +74,9 @@ class Filmed:
 @from_ci
 def test_a_run_by_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = LiveRobot()
-    path = Sight("stdin", begin=f"{START[0]},{START[1]},{np.degrees(START[2])}").placed(shape(PATH), START)
+    path = Sight("stdin", begin=f"{START[0]},{START[1]},{np.degrees(START[2])}").placed(
+        shape(PATH), (), START
+    )[0]
     options = RunOptions(PlanConfig(depth=2), True, 2.2 * PERIOD_S)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         camera = CameraFixes(iter(Filmed(robot)), calibration(SCENE), "camera")

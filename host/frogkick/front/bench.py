@@ -167,11 +167,7 @@ class Sight:
         finally:
             camera.close()
 
-    def placed(self, path: SwimPath, pose_world: Sequence[float]) -> SwimPath:
-        """Return the path, moved to its beginning."""
-        return self.placed_with(path, (), pose_world)[0]
-
-    def placed_with(
+    def placed(
         self, path: SwimPath, then: Sequence[NextPath], pose_world: Sequence[float]
     ) -> tuple[SwimPath, tuple[NextPath, ...]]:
         """Return the path, moved to its beginning, and the paths after it, moved as it is."""
@@ -312,7 +308,7 @@ def run_on_bench(
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
             newest = [float(value) for value in seen[-1].pose_world]
-            path, then = sight.placed_with(path, options.then, newest)
+            path, then = sight.placed(path, options.then, newest)
             options = replace(options, then=then)
         later = [one.path for one in options.then if not one.here]
         if options.hold_m is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,18 @@ from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.library import build_library, fit_table
 from frogkick.library.fitting import looked_up
-from frogkick.paths import SHAPES
+from frogkick.paths import SHAPES, shape
+from frogkick.planner.plan import config_of
+from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
-from frogkick.runs.trial import trials
+from frogkick.runs.closed_loop import swim
+from frogkick.runs.record import RunOptions
+from frogkick.runs.runlog import Tracking
 from frogkick.tables.image import open_image, read_image
 from frogkick_codegen.firmware import build
 
-LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
-"""The paths that tables are tried on in closed loop, and how often each."""
+LOOP_PATHS, LOOP_SEEDS, LOOP_LIMIT_S = tuple(SHAPES), 2, 90.0
+"""The paths that tables are tried on in closed loop, how often each, and for how long at most."""
 
 EARLIER = 8
 """Number of earlier actions that a look-up takes."""
@@ -105,16 +110,16 @@ class TableMaker:
 
     def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
         """Follow a fixed set of paths with a table file, in a pool with the robot's effects."""
+        options = RunOptions(config_of(robot.planner), time_limit_s=LOOP_LIMIT_S)
+        numbers: list[Tracking] = []
+        whole, opened = len(LOOP_PATHS) * LOOP_SEEDS, read_image(tables)
         with built_firmware("native", tables, robot) as built:
-            numbers = trials(
-                built.image,
-                read_image(tables),
-                robot,
-                lambda: World(effects_of(robot)),
-                LOOP_PATHS,
-                LOOP_SEEDS,
-                progress=progress,
-            )
+            for name, seed in product(LOOP_PATHS, range(LOOP_SEEDS)):
+                progress(len(numbers), whole)
+                port, world = NativeRobot(built.image, len(robot.limbs)), World(effects_of(robot))
+                swum = swim(port, opened, robot, shape(name), options, [seed, 7], "trial", world)
+                numbers.append(swum.tracking())
+        progress(whole, whole)
         return Tracked(
             float(np.mean([each.mean_distance_m for each in numbers])),
             float(np.mean([each.progress_mps for each in numbers])),

@@ -133,7 +133,7 @@ class ChipTwin(DecisionTwin):
             self._set(int(asked["parameter"]), float(asked["value"]))
         elif record.command == "START":
             self._has_path, self.ended = True, None
-            self._follow = Follow(self._tables, self._points, self._config)
+            self._follow = Follow(self.tables, self._points, self._config)
             self._next_us = record.time_us + int(asked["delay_us"])
             self._number = 0
         elif record.command == "STROKE":

@@ -13,13 +13,17 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
 from frogkick.core.weights import WEIGHTS
+from frogkick.effects import World
 from frogkick.estimator.follow import End
 from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
-from frogkick.link.wire import Edge
+from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
+from frogkick.pool.camera import Camera
+from frogkick.pool.pool import Pool
+from frogkick.robot import Robot
 from frogkick.runs.decision import (
     LOST_FIELDS,
     NOTHING_LOST,
@@ -30,8 +34,9 @@ from frogkick.runs.decision import (
     events_of_frame,
 )
 from frogkick.runs.path_change import Holding, PathChanges, PathSender
-from frogkick.runs.record import Recording
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import LinkError, Session
+from frogkick.tables.image import Tables
 
 SETTLE_S = 0.6  # of fixes before the start, so that the first estimate has a velocity
 START_DELAY_S = 0.1
@@ -144,6 +149,36 @@ def run_session(
         raise
 
 
+def swim(
+    port: RobotPort,
+    tables: Tables,
+    robot: Robot,
+    path: Path,
+    options: RunOptions,
+    seed: int | Sequence[int],
+    source: str,
+    world: World = World(),  # noqa: B008 - frozen
+    start_world: tuple[float, float, float] | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _whole: None,
+) -> Recording:
+    """Follow a path in a pool.
+
+    Args:
+        port, tables: the robot, and its own tables.
+        robot: the swimmer in the pool.
+        options, source: of the run.
+        seed: of the camera's noise; the log keeps the first of several.
+        world: effects in the pool; a new object for each run.
+        start_world: pose of the robot at rest; None: at the path's first point, along it.
+        progress: called with the path points passed and all path points.
+    """
+    start = start_world or (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
+    pool = Pool(robot, start, Camera(), np.random.default_rng(seed), world)
+    first = seed if isinstance(seed, int) else int(seed[0])
+    recording = Recording(robot, tables, path, options, source, first, pool=pool)
+    return run_session(Session(port), pool, recording, lambda _time_s, index: progress(index + 1, len(path)))
+
+
 class _StopError(Exception):
     """``RunOptions.stop`` ends the run."""
 
@@ -179,7 +214,8 @@ class _Run:
         self.recording.clock_offset_us = session.robot_clock_offset_us()
         lost = configure(session, options.config, options.learn and options.onboard)
         if options.check is not None:
-            options.check.begin(self.tables, self.recording.path, options.config, options.learn, lost)
+            path, config, learn = self.recording.path, options.config, options.learn
+            options.check.begin(DecisionTwin(self.tables, path, config, learn=learn, lost=lost))
         self._is_configured = True
         session.send_path(self.recording.path)
         self.may_be_armed = True

@@ -136,6 +136,7 @@ class DecisionTwin:
     """Estimator and planner on the host, which decide as the robot does.
 
     Attributes:
+        tables: those that it began with.
         ended: why the run has ended; None while it goes on. The next decision starts a new run.
     """
 
@@ -152,7 +153,7 @@ class DecisionTwin:
 
         With ``learn`` that one learns what limbs have lost, from the shares ``lost`` on, and plans with it.
         """
-        self._tables = tables
+        self.tables = tables
         self._config = config
         own = estimator if isinstance(estimator, Estimator) else Estimator(tables)
         if learn:
@@ -283,18 +284,10 @@ class LiveCheck:
         self._twin: DecisionTwin | None = None
         self._names: list[str] = []
 
-    def begin(
-        self,
-        tables: Tables,
-        path: Path,
-        config: PlanConfig,
-        learn: bool = False,
-        lost: Sequence[int] = NOTHING_LOST,
-    ) -> None:
-        """Start a run; ``learn``, ``lost``: the robot learns in it, from what it knew of its limbs on."""
+    def begin(self, twin: DecisionTwin) -> None:
+        """Start a run of a robot with its twin, which has learned what the robot has."""
         self.agreed = self.unchecked = 0
-        self._twin = DecisionTwin(tables, path, config, learn=learn, lost=lost)
-        self._names = [row.name for row in tables.actions]
+        self._twin, self._names = twin, [row.name for row in twin.tables.actions]
 
     def compare(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:
         """Apply the events of one frame, and compare its decision if it is one.

@@ -31,8 +31,8 @@ from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
+from frogkick.runs.closed_loop import swim
 from frogkick.runs.record import RunOptions
-from frogkick.runs.trial import swim
 from frogkick.tables.image import read_image
 from frogkick_codegen.firmware import build
 

@@ -42,8 +42,8 @@ from frogkick.planner.plan import config_of
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.report import style
 from frogkick.robot import Robot
+from frogkick.runs.closed_loop import swim
 from frogkick.runs.record import RunOptions
-from frogkick.runs.trial import swim
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build, require_tools
 from frogkick_studies import Found

@@ -88,11 +88,7 @@ def write_log(target: Path | str, fetched: FetchedLog) -> None:
 
 
 def read_log(source: Path | str) -> FetchedLog:
-    """Read a log.
-
-    Raises:
-        InputError: missing, foreign or damaged file.
-    """
+    """Read a log. InputError: missing, foreign or damaged file."""
     path = existing_file(source, "chip log")
     try:
         with h5py.File(path, "r") as file:
@@ -363,11 +359,7 @@ class ChipCore:
         self._sequence = 0
 
     def begin(self, snapshot: bytes) -> None:
-        """Restore a snapshot.
-
-        Raises:
-            FrogkickError: the core refuses the table, or the snapshot.
-        """
+        """Restore a snapshot. FrogkickError: the core refuses the table, or the snapshot."""
         core, ffi = self._core, self._ffi
         self._memory = ffi.new("fk_robot_t *")
         self._log = ffi.new("fk_log_t *")

@@ -106,11 +106,7 @@ class LabPort:
         self._fill_window()
 
     def advance(self, until_s: float) -> None:
-        """Wait until a time, a frame, or a step back of the clock.
-
-        Raises:
-            WireError: the robot is gone.
-        """
+        """Wait until a time, a frame, or a step back of the clock. WireError: the robot is gone."""
         before_s = self.now_s
         while True:
             now_s = self.now_s

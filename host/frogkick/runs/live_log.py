@@ -72,11 +72,7 @@ class LiveLog:
         self._thread.start()
 
     def keep(self, recording: Recording) -> None:
-        """Hand over new rows, which are on the disk some 0.02 s later.
-
-        Raises:
-            InputError: the disk is full.
-        """
+        """Hand over new rows, which are on the disk some 0.02 s later. InputError: the disk is full."""
         if self._error is not None:
             raise self._full() from self._error
         writes: list[_Write] = []
@@ -112,11 +108,7 @@ class LiveLog:
         self._written.wait_for(lambda: self._error or not (self._waiting or self._writing))
 
     def close(self) -> None:
-        """Write the remaining rows and close the file.
-
-        Raises:
-            InputError: the disk is full.
-        """
+        """Write the remaining rows and close the file. InputError: the disk is full."""
         with self._lock:
             self._closing = True
             self._condition.notify_all()

@@ -112,11 +112,7 @@ class Session:
     def request(
         self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
     ) -> dict[str, Value]:
-        """Send a command and wait for its answer.
-
-        Raises:
-            LinkError: no answer in time, or the robot refuses.
-        """
+        """Send a command and wait for its answer. LinkError: no answer in time, or the robot refuses."""
         answer = self.ask(name, values, rows)
         status = int(answer["status"])
         if status < 0:
@@ -296,10 +292,6 @@ class Session:
             self.request("PATH", values, rows)
 
     def set_parameters(self, values: dict[str, float]) -> None:
-        """Send PARAM for each name.
-
-        Raises:
-            LinkError: a value is out of its limits.
-        """
+        """Send PARAM for each name. LinkError: a value is out of its limits."""
         for name, value in values.items():
             self.request("PARAM", {"parameter": link_layout().parameter[name], "value": value})

@@ -81,11 +81,7 @@ class TextRobot:
         """No effect: nothing is sent again."""
 
     def advance(self, until_s: float) -> None:
-        """Wait until a time or a frame of the core.
-
-        Raises:
-            WireError: the robot is gone.
-        """
+        """Wait until a time or a frame of the core. WireError: the robot is gone."""
         self.wire.receive(0.0)
         self._bell.wait_for(lambda: self._frames, max(0.0, until_s - self.now_s))
 

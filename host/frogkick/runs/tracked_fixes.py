@@ -55,11 +55,7 @@ class FixBuffer:
         self._polled_s = 0.0
 
     def wait_first(self, timeout_s: float) -> None:
-        """Wait for the first pose.
-
-        Raises:
-            InputError: none came in time, or the reader failed.
-        """
+        """Wait for the first pose. InputError: none came in time, or the reader failed."""
         self._bell.wait_for(lambda: self._seen > 0 or self._error is not None or self._ended, timeout_s)
         with self._lock:
             if self._error is not None:

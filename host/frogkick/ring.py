@@ -178,25 +178,26 @@ def go_round(
         bar: makes a progress bar.
         time_limit_s: time limit of each run in pool time, s.
     """
-    clock = _StageClock({})
+    stage_s: dict[str, float] = {}
+    lap = _stage_clock(stage_s)
     image = make_tables(robot, out, states, seed, bar, "library: simulate transitions")
-    clock.lap("library, tables")
+    lap("library, tables")
     tables = read_image(image)
     emit(image, out / "emitted", "frogkick codegen tables.fkt --out emitted")
     built = build("bench", image, robot, out / "firmware")
-    clock.lap("C, firmware")
+    lap("C, firmware")
     options = RunOptions(
         dataclasses.replace(config_of(robot.planner), depth=depth), time_limit_s=time_limit_s
     )
-    ring = Ring(robot, states, tables, built, options, stage_s=clock.laps)
+    ring = Ring(robot, states, tables, built, options, stage_s=stage_s)
     with bar("firmware on the virtual chip: commands and limits") as progress:
         ring.chip = check_on_chip(built.image, tables, robot, progress)
-    clock.lap("trial of the firmware")
+    lap("trial of the firmware")
     for name in paths:
         with bar(f"swim the {name}: path points") as progress:
             ring.runs.append(_swim(ring, name, seed, progress))
         write_run(out / f"{name}.h5", ring.runs[-1].log)
-        clock.lap(f"swim the {name}")
+        lap(f"swim the {name}")
     return ring
 
 
@@ -227,7 +228,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         seed: seed of the wear, the library and the camera's noise.
         held_out: path of the test run.
     """
-    clock = _StageClock(ring.stage_s)
+    lap = _stage_clock(ring.stage_s)
     robot, tables, options = ring.robot, ring.tables, ring.options
     paths = [run.log.path.name for run in ring.runs if run.log.path is not None]
     planted = plant(robot, seed)
@@ -252,9 +253,9 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         logs.append(out / f"worn-{name}.h5")
         write_run(logs[-1], dataclasses.replace(run, truth=None))
         old.append(run)
-    clock.lap("swim with a worn limb")
+    lap("swim with a worn limb")
     learned = [swum(ring.built.image, tables, name, "swim and learn", learn=True) for name in paths]
-    clock.lap("swim and learn")
+    lap("swim and learn")
     swims = [read_segments(log, robot) for log in logs]
     with in_stages(bar, "identify") as tell:
         outcome = identify(swims[:-1], swims[-1:], robot, progress=tell)
@@ -262,17 +263,17 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         ahead = len(outcome.horizons)
         progress(ahead, ahead)
     write_robot(out / "found.toml", outcome)
-    clock.lap("identify")
+    lap("identify")
     new = []
     if outcome.terms:
         found = load_robot(out / "found.toml")
         title = "new library: simulate transitions"
         image = make_tables(found, out / "new", ring.states, seed, bar, title)
         built = build("bench", image, found, out / "new" / "firmware")
-        clock.lap("new library, tables, firmware")
+        lap("new library, tables, firmware")
         opened = read_image(image)
         new = [swum(built.image, opened, name, "swim with the new firmware") for name in paths]
-        clock.lap("swim with the new firmware")
+        lap("swim with the new firmware")
     ring.closing = Closing(planted, outcome, old[:-1], learned, new)
 
 
@@ -283,14 +284,13 @@ def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, tit
     return image
 
 
-class _StageClock:
-    """Measures the duration of each stage, s."""
+def _stage_clock(stage_s: dict[str, float]) -> Callable[[str], None]:
+    """A function that notes the duration of each stage at its end, s."""
+    since_s = time.perf_counter()
 
-    def __init__(self, laps: dict[str, float]) -> None:
-        self.laps = laps
-        self._since = time.perf_counter()
+    def lap(stage: str) -> None:
+        nonlocal since_s
+        now_s = time.perf_counter()
+        stage_s[stage], since_s = now_s - since_s, now_s
 
-    def lap(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.laps[stage] = now - self._since
-        self._since = now
+    return lap

@@ -23,7 +23,7 @@ from tests.link.test_run_camera import SCENE, START
 from tests.runs import rig
 from tests.vision.scenes import calibration
 
-from frogkick.front.bench import Sight
+from frogkick.front.bench import placed
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import run_session
@@ -49,7 +49,7 @@ def main(seconds: float) -> None:
             yield Frame(pictures[sequence % len(pictures)], time.monotonic(), sequence, True)
 
     warm_up(rig.tables(), shape(PATH), PlanConfig(depth=3))
-    path = Sight("stdin", begin="here").placed(shape(PATH), (), START)[0]
+    path = placed(shape(PATH), (), "here", START)[0]
     options = RunOptions(PlanConfig(depth=3), False, seconds)
     strokes: list[tuple[float, float]] = []
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:

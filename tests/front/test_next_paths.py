@@ -10,7 +10,7 @@ from tests.runs import rig
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.front.bench import Sight
+from frogkick.front.bench import placed
 from frogkick.front.courses import next_paths
 from frogkick.paths import line, shape
 
@@ -56,8 +56,8 @@ def test_what_is_refused_in_one_line(then: object, said: str) -> None:
 
 def test_a_path_that_takes_over_is_moved_as_the_first_one_is() -> None:
     then = next_paths(["sine@1", "line@2@here"], 60.0)
-    assert Sight("stdin").placed(line(), then, (1.0, 2.0, 3.0))[1] == then
-    _, moved = Sight("stdin", begin="1,2,90").placed(line(), then, (9.0, 9.0, 9.0))
+    assert placed(line(), then, None, (1.0, 2.0, 3.0))[1] == then
+    _, moved = placed(line(), then, "1,2,90", (9.0, 9.0, 9.0))
     assert moved[1] is then[1], "it begins where the robot then is"
     assert moved[0].path.points_m[0] == pytest.approx((1.0, 2.0), abs=1e-6)
     assert moved[0].path.tangent_rad[0] == pytest.approx(shape("sine").tangent_rad[0] + 1.5708, abs=1e-4)

@@ -23,7 +23,7 @@ from tests.runs import rig
 from tests.vision.scenes import calibration
 
 from frogkick.core.errors import FrogkickError, InputError
-from frogkick.front.bench import Sight
+from frogkick.front.bench import placed
 from frogkick.link.layout import link_layout
 from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
@@ -128,7 +128,7 @@ def test_a_camera_that_freezes_while_the_robot_runs(
     hangs: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = LiveRobot()
-    path = Sight("stdin", begin="here").placed(shape(PATH), (), START)[0]
+    path = placed(shape(PATH), (), "here", START)[0]
     driver = Camera(robot, 40, hangs)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         source = CameraFixes(live_frames(driver, "camera 3"), calibration(SCENE), "camera 3")

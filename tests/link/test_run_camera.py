@@ -25,7 +25,6 @@ from tests.vision.scenes import calibration, scene
 
 from frogkick.core.errors import InputError
 from frogkick.front import bench
-from frogkick.front.bench import Sight
 from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
@@ -74,9 +73,7 @@ class Filmed:
 @from_ci
 def test_a_run_by_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = LiveRobot()
-    path = Sight("stdin", begin=f"{START[0]},{START[1]},{np.degrees(START[2])}").placed(
-        shape(PATH), (), START
-    )[0]
+    path = bench.placed(shape(PATH), (), f"{START[0]},{START[1]},{np.degrees(START[2])}", START)[0]
     options = RunOptions(PlanConfig(depth=2), True, 2.2 * PERIOD_S)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         camera = CameraFixes(iter(Filmed(robot)), calibration(SCENE), "camera")
@@ -122,10 +119,10 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
 
     monkeypatch.setattr(bench, "warm_up", warmed)
     monkeypatch.setattr(bench, "tree_of", lambda *_given: done.append("what a page draws"))
-    monkeypatch.setattr(Sight, "opened", opened)
+    monkeypatch.setattr(bench.Bench, "opened", opened)
     for drawn, compiled in ((False, []), (True, ["planner", "what a page draws"])):
         done.clear()
-        lab = bench.Bench("serial:frog", "frogkick", Sight("camera.toml"), 12.0, drawn=drawn)
+        lab = bench.Bench("serial:frog", "camera.toml", battery_v=12.0, drawn=drawn)
         with pytest.raises(InputError, match="no camera"):
             bench.run_on_bench(
                 lab,

@@ -11,7 +11,7 @@ from tests.runs import rig
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
-from frogkick.front.bench import Sight, parse_begin
+from frogkick.front.bench import Bench, parse_begin, placed
 from frogkick.paths import shape
 from frogkick.robot.model import Battery
 from frogkick.runs.start_checks import check_battery, check_start, look
@@ -24,7 +24,7 @@ def fixes(*places: tuple[float, float]) -> list[Fix]:
 
 
 AT_REST = fixes(*[(0.3, 0.4)] * 10)
-LINE = Sight("stdin", begin="0.3,0.4,20").placed(shape("line"), (), (0.0, 0.0, 0.0))[0]
+LINE = placed(shape("line"), (), "0.3,0.4,20", (0.0, 0.0, 0.0))[0]
 
 
 def test_a_robot_on_its_path_in_the_pool_may_swim() -> None:
@@ -111,14 +111,14 @@ def test_what_can_only_fail_is_refused(seen: list[Fix], path: object, complaint:
 
 @pytest.mark.parametrize("name", ["line", "sine", "ellipse"])
 def test_a_path_begins_where_and_as_it_is_told(name: str) -> None:
-    path = Sight("stdin", begin="0.5,0.2,90").placed(shape(name), (), (9.0, 9.0, 9.0))[0]
+    path = placed(shape(name), (), "0.5,0.2,90", (9.0, 9.0, 9.0))[0]
     assert path.points_m[0] == pytest.approx([0.5, 0.2], abs=1e-6)
     assert float(path.tangent_rad[0]) == pytest.approx(np.pi / 2.0, abs=1e-6)
     assert path.length_m == pytest.approx(shape(name).length_m, rel=1e-5)
-    here = Sight("stdin", begin="here").placed(shape(name), (), (0.1, 0.3, -1.0))[0]
+    here = placed(shape(name), (), "here", (0.1, 0.3, -1.0))[0]
     assert here.points_m[0] == pytest.approx([0.1, 0.3], abs=1e-6)
     assert float(here.tangent_rad[0]) == pytest.approx(-1.0, abs=1e-6)
-    same = Sight("stdin").placed(shape(name), (), (0.1, 0.3, -1.0))[0]
+    same = placed(shape(name), (), None, (0.1, 0.3, -1.0))[0]
     assert np.array_equal(same.points_m, shape(name).points_m)
 
 
@@ -127,7 +127,7 @@ def test_where_a_path_begins_must_be_three_numbers(text: str) -> None:
     with pytest.raises(InputError, match="--begin is"):
         parse_begin(text)
     with pytest.raises(InputError, match="--begin is"):
-        Sight("stdin", begin=text)
+        Bench("serial:frog", "stdin", begin=text)
 
 
 def test_a_look_takes_what_comes_in_a_second() -> None:

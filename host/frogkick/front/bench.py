@@ -121,61 +121,18 @@ def require_bench(
         )
 
 
-@dataclass(frozen=True)
-class Sight:
-    """The source of position fixes, and the place where the path begins.
+def placed(
+    path: SwimPath, then: Sequence[NextPath], begin: str | None, pose_world: Sequence[float]
+) -> tuple[SwimPath, tuple[NextPath, ...]]:
+    """Return a path, moved to its beginning (see ``Bench``), and the paths after it, moved as it is.
 
-    Attributes:
-        fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
-        source: camera number, network camera's address, video file or folder of pictures.
-        begin: ``x_m,y_m,deg`` where the path begins, ``here`` for the robot's place, None for the path's own.
-        rate_hz, world, seed: of a simulated pool: fixes per second, its true effects, its camera's noise.
+    ``pose_world`` is the robot's.
     """
-
-    fixes: str
-    source: str = "0"
-    begin: str | None = None
-    rate_hz: float = 15.0
-    world: World = World()  # noqa: RUF009 - frozen
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.begin not in (None, "here"):
-            parse_begin(str(self.begin))
-
-    @contextmanager
-    def opened(
-        self, robot: Robot, tables: Tables, path: SwimPath
-    ) -> Iterator[tuple[LineFixes | CameraFixes | PoolFixes, tuple[float, float] | None]]:
-        """Yield the running source, and the pool's length and width if they are known.
-
-        In a simulated pool the robot starts at the path.
-        """
-        if self.fixes == STDIN:
-            yield LineFixes(sys.stdin.fileno(), "standard input"), None
-            return
-        if self.fixes == POOL:
-            rng = np.random.default_rng(self.seed)
-            yield PoolFixes(robot, tables, start_pose(path), rng, self.rate_hz, self.world), None
-            return
-        calibration = read_calibration(Path(self.fixes))
-        name = f"camera {self.source}" if self.source.isdigit() else self.source
-        frames = open_source(self.source, calibration.image_px)
-        camera = CameraFixes(frames, calibration, name)
-        try:
-            yield camera, calibration.pool_m
-        finally:
-            camera.close()
-
-    def placed(
-        self, path: SwimPath, then: Sequence[NextPath], pose_world: Sequence[float]
-    ) -> tuple[SwimPath, tuple[NextPath, ...]]:
-        """Return the path, moved to its beginning, and the paths after it, moved as it is."""
-        if self.begin is None:
-            return path, tuple(then)
-        motion = path.motion_to(pose_world if self.begin == "here" else parse_begin(self.begin))
-        moved = (one if one.here else replace(one, path=one.path.place(motion)) for one in then)
-        return path.place(motion), tuple(moved)
+    if begin is None:
+        return path, tuple(then)
+    motion = path.motion_to(pose_world if begin == "here" else parse_begin(begin))
+    moved = (one if one.here else replace(one, path=one.path.place(motion)) for one in then)
+    return path.place(motion), tuple(moved)
 
 
 def parse_begin(text: str, what: str = "--begin") -> tuple[float, float, float]:
@@ -238,12 +195,15 @@ def no_operator(_stdin_is_taken: bool) -> AbstractContextManager[Operator]:
 
 @dataclass(frozen=True)
 class Bench:
-    """A real robot and what a person knows of it.
+    """A real robot, the source of its position fixes, and what a person knows of it.
 
     Attributes:
         name: its address: ble:NAME or serial:PORT.
+        fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
+        source: camera number, network camera's address, video file or folder of pictures.
+        begin: ``x_m,y_m,deg`` where the path begins, ``here`` for the robot's place, None for the path's own.
+        rate_hz, world, seed: of a simulated pool: fixes per second, its true effects, its camera's noise.
         dialect: its protocol.
-        sight: the source of its position fixes, and where its path begins.
         battery_v: voltage of its lowest battery, measured with a meter; None: not measured.
         out: the log that grows while the robot swims; None: none is written.
         film: the camera's pictures are recorded beside it.
@@ -255,8 +215,13 @@ class Bench:
     """
 
     name: str
-    dialect: str
-    sight: Sight
+    fixes: str
+    source: str = "0"
+    begin: str | None = None
+    rate_hz: float = 15.0
+    world: World = World()  # noqa: RUF009 - frozen
+    seed: int = 0
+    dialect: str = "frogkick"
     battery_v: float | None = None
     out: Path | None = None
     film: bool = False
@@ -265,6 +230,34 @@ class Bench:
     key: Path | None = None
     drawn: bool = False
     stop: Callable[[], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.begin not in (None, "here"):
+            parse_begin(str(self.begin))
+
+    @contextmanager
+    def opened(
+        self, robot: Robot, tables: Tables, path: SwimPath
+    ) -> Iterator[tuple[LineFixes | CameraFixes | PoolFixes, tuple[float, float] | None]]:
+        """Yield the running source, and the pool's length and width if they are known.
+
+        In a simulated pool the robot starts at the path.
+        """
+        if self.fixes == STDIN:
+            yield LineFixes(sys.stdin.fileno(), "standard input"), None
+            return
+        if self.fixes == POOL:
+            rng = np.random.default_rng(self.seed)
+            yield PoolFixes(robot, tables, start_pose(path), rng, self.rate_hz, self.world), None
+            return
+        calibration = read_calibration(Path(self.fixes))
+        name = f"camera {self.source}" if self.source.isdigit() else self.source
+        frames = open_source(self.source, calibration.image_px)
+        camera = CameraFixes(frames, calibration, name)
+        try:
+            yield camera, calibration.pool_m
+        finally:
+            camera.close()
 
 
 def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: bool) -> None:
@@ -295,20 +288,20 @@ def run_on_bench(
     """
     robot, tables = recording.robot, recording.tables
     path, options = recording.path, recording.options
-    sight, target = bench.sight, parse_target(bench.name)
-    battery = "battery: none, a kit" if sight.fixes == POOL else check_battery(robot, bench.battery_v)
+    target = parse_target(bench.name)
+    battery = "battery: none, a kit" if bench.fixes == POOL else check_battery(robot, bench.battery_v)
     greeting = DELIMITER if bench.dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
         if bench.drawn or options.check is not None or not options.onboard:
             _compile_planner(tables, path, options.config, bench.drawn)
-        fixes, pool_m = stack.enter_context(sight.opened(robot, tables, path))
+        fixes, pool_m = stack.enter_context(bench.opened(robot, tables, path))
         camera = fixes if isinstance(fixes, CameraFixes) else None
         fixes.wait_first(FIRST_FIX_S)
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
             newest = [float(value) for value in seen[-1].pose_world]
-            path, then = sight.placed(path, options.then, newest)
+            path, then = placed(path, options.then, bench.begin, newest)
             options = replace(options, then=then)
         later = [one.path for one in options.then if not one.here]
         if options.hold_m is not None:
@@ -341,7 +334,7 @@ def run_on_bench(
             if isinstance(fixes, PoolFixes):
                 fixes.follow(grown)
 
-        operator = stack.enter_context(bench.operator(sight.fixes == STDIN))
+        operator = stack.enter_context(bench.operator(bench.fixes == STDIN))
         operator.wait_to_arm()
         asked = options.stop
         recording.options = replace(options, stop=lambda: operator.pressed() or asked())

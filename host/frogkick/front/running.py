@@ -24,7 +24,6 @@ from frogkick.effects import World, read_world
 from frogkick.front.bench import (
     Bench,
     Operators,
-    Sight,
     no_operator,
     require_bench,
     require_film,
@@ -327,11 +326,10 @@ def run(
         recording = Recording(described, used.tables, desired, options, name, known=known)
         said = RunProgress(tell, recording)
         if is_real:
-            sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
-            owner = None if key is None else Path(key)
             bench = Bench(
-                robot, dialect, sight, battery_v, target, video, operator, wire, owner, view, stopped.set
-            )
+                robot, str(fixes), source, begin, fix_rate_hz, true, seed, dialect, battery_v, target, video,
+                operator, wire, None if key is None else Path(key), view, stopped.set,
+            )  # fmt: skip
             stack.enter_context(reports_partial_log(target))
             run_on_bench(bench, image, recording, said.progress)
         else:

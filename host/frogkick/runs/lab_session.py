@@ -245,13 +245,11 @@ class LabSession(Session):
 
     @property
     def window(self) -> int:
-        """Number of commands that may wait for their answers at the same time."""
         return self.port.wire.window
 
     def ask_all(
         self, name: str, many: Sequence[Arguments], timeout_s: float = ANSWER_TIMEOUT_S
     ) -> list[dict[str, Value]]:
-        """Send a command several times with different arguments, and wait for all answers."""
         sequences = [self.post(name, values, rows) for values, rows in many]
         answers: dict[int, dict[str, Value]] = {}
         timeout_s, waited_s, down_s = max(timeout_s, ANSWER_S), 0.0, 0.0
@@ -304,7 +302,6 @@ class LabSession(Session):
 
     @property
     def gaps(self) -> int:
-        """How often frames from the robot may have been lost."""
         return self.port.gaps
 
     def robot_clock_offset_us(self) -> int:

@@ -63,6 +63,11 @@ class PredictionError:
             len(known),
         )
 
+    @property
+    def pair(self) -> tuple[float, float]:
+        """The errors of position (m) and heading (rad)."""
+        return self.position_rmse_m, self.heading_rmse_rad
+
     def as_json(self) -> dict[str, float]:
         """The keys of the commands."""
         return {"position_rmse_m": self.position_rmse_m, "heading_rmse_rad": self.heading_rmse_rad}

@@ -334,27 +334,15 @@ def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], st
     if first == 0:
         return [swim], [swim], "nothing"
     cut_s = float(swim.end_s[first - 1])
-    seen = swim.arrival_s <= cut_s
-    learned = replace(
-        swim,
-        time_s=swim.time_s[seen],
-        arrival_s=swim.arrival_s[seen],
-        pose=swim.pose[seen],
-        strokes=tuple(stroke for stroke in swim.strokes if stroke[0] < cut_s),
-        start_s=swim.start_s[:first],
-        action=swim.action[:first],
-        end_s=swim.end_s[:first],
-    )
+    strokes = tuple(stroke for stroke in swim.strokes if stroke[0] < cut_s)
+    learned = replace(swim.first_periods(first).with_fixes(swim.arrival_s <= cut_s), strokes=strokes)
     kept = replace(swim, judged_from=first)
     return [learned], [kept], f"periods {first + 1} to {len(swim.start_s)} of the only run {swim.name!r}"
 
 
 def is_better(before: PredictionError, after: PredictionError) -> bool:
     """Whether neither position nor heading is worse and one of them is clearly better."""
-    pairs = (
-        (before.position_rmse_m, after.position_rmse_m),
-        (before.heading_rmse_rad, after.heading_rmse_rad),
-    )
+    pairs = list(zip(before.pair, after.pair, strict=True))
     return (
         after.count >= HELD_OUT_MIN
         and all(now <= then for then, now in pairs)

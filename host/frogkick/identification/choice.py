@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from frogkick.core.poses import PredictionError
 from frogkick.core.progress import TellStage
 from frogkick.identification.backward import stability, superfluous_term
 from frogkick.identification.calibrated import best_end_deviance, calibrated_starts, end_deviance, refitted
@@ -61,7 +60,7 @@ def found_in(
     known = calibrated_starts(robot)
     data, fitted = nominal_fit(train, robot)
     nominal = Found(data, fitted, fitted)
-    far = all(value > least for value, least in zip(_pair(_scored(nominal).before), FAR, strict=True))
+    far = all(value > least for value, least in zip(_scored(nominal).before.pair, FAR, strict=True))
     many = int(data.rows.sum()) > SEARCHED_MOST
     found = None
     if not known or not (far or many):
@@ -75,7 +74,7 @@ def found_in(
         return relative
     if found is None:
         both = _scored(relative)
-        pairs = zip(_pair(both.before), _pair(both.after), strict=True)
+        pairs = zip(both.before.pair, both.after.pair, strict=True)
         if many or all(left <= NEARER * plain for plain, left in pairs):
             found = _search_in_part(nominal, robot, candidates, progress)
             return found if _verdict(found) == FOUND else relative
@@ -156,14 +155,9 @@ def with_misfires(found: Found) -> Found:
             return replace(found, misfires=None)
         misfires = again
     model = replace(found.fitted.model, terms=(*found.fitted.model.terms, *misfires.terms))
-    return replace(
-        found,
-        fitted=derivatives([model], found.data)[0],
-        confounded_with=[*found.confounded_with, *misfires.confounded_with],
-        rivals=[*(found.rivals or [[] for _ in found.fitted.model.terms]), *([] for _ in misfires.limbs)],
-        stability=[*found.stability, *misfires.stability],
-        misfires=misfires,
-    )
+    (fitted,) = derivatives([model], found.data)
+    found = _with_chances(found, fitted, misfires.confounded_with, misfires.stability)
+    return replace(found, misfires=misfires)
 
 
 def with_jumps(found: Found, jumps: Jumps | None, raw: Sequence[Segments], robot: Robot) -> Found:
@@ -175,18 +169,26 @@ def with_jumps(found: Found, jumps: Jumps | None, raw: Sequence[Segments], robot
         return found
     fitted = found.fitted
     unmoved = np.zeros((*fitted.residuals.shape, len(jumps.term.values)))
+    fitted = replace(
+        fitted,
+        model=replace(fitted.model, terms=(*fitted.model.terms, jumps.term)),
+        jacobian=np.concatenate([fitted.jacobian, unmoved], axis=2),
+    )
+    found = _with_chances(found, fitted, [[]], [1.0])
+    return replace(found, nominal=nominal_fit(raw, robot)[1], jumps=jumps)
+
+
+def _with_chances(
+    found: Found, fitted: Fitted, confounded_with: Sequence[list[str]], stability: Sequence[float]
+) -> Found:
+    """The result with a fit that has more terms: laws of chance, which no experiment is planned for."""
+    rivals = found.rivals or [[] for _ in found.fitted.model.terms]
     return replace(
         found,
-        nominal=nominal_fit(raw, robot)[1],
-        fitted=replace(
-            fitted,
-            model=replace(fitted.model, terms=(*fitted.model.terms, jumps.term)),
-            jacobian=np.concatenate([fitted.jacobian, unmoved], axis=2),
-        ),
-        confounded_with=[*found.confounded_with, []],
-        rivals=[*(found.rivals or [[] for _ in fitted.model.terms]), []],
-        stability=[*found.stability, 1.0],
-        jumps=jumps,
+        fitted=fitted,
+        confounded_with=[*found.confounded_with, *confounded_with],
+        rivals=[*rivals, *([] for _ in stability)],
+        stability=[*found.stability, *stability],
     )
 
 
@@ -284,7 +286,3 @@ def _verdict(found: Found) -> str:
 
 def _scored(found: Found) -> Scored:
     return scored(found, found.data.swims, found.nominal.rollouts, found.fitted.rollouts)
-
-
-def _pair(error: PredictionError) -> tuple[float, float]:
-    return error.position_rmse_m, error.heading_rmse_rad

@@ -12,7 +12,7 @@ prediction cannot know which fix will jump next. The fixes that did jump are lef
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -78,9 +78,7 @@ def without_jumps(swims: Sequence[Segments]) -> list[Segments]:
     for swim in swims:
         stays = np.ones(len(swim.time_s), dtype=bool)
         stays[jumped(swim)[0]] = False
-        kept.append(
-            replace(swim, time_s=swim.time_s[stays], arrival_s=swim.arrival_s[stays], pose=swim.pose[stays])
-        )
+        kept.append(swim.with_fixes(stays))
     return kept
 
 

@@ -25,7 +25,7 @@ from frogkick.effects.law import LONG_AGO_S, Law
 from frogkick.identification.batching import roll_out
 from frogkick.identification.filter import initial_rate_std
 from frogkick.identification.fit import Fitted, Model, coarsened, residuals_of
-from frogkick.identification.predict import PHASES, Lane, Rollout
+from frogkick.identification.predict import PHASES, Lane, Rollout, interpolated
 from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.segments import Data, Segments
 from frogkick.robot import Robot
@@ -261,16 +261,13 @@ def rollouts_with(
 
 def _rates(swim: Segments, at_s: Float64) -> Float64:
     """(k, 3) velocities at times, from the fixes around them; world frame."""
-    before, after = (
-        np.column_stack([np.interp(at_s + beside, swim.time_s, swim.pose[:, axis]) for axis in range(3)])
-        for beside in (-BESIDE_S, BESIDE_S)
-    )
+    before, after = (interpolated(swim.time_s, swim.pose, at_s + beside) for beside in (-BESIDE_S, BESIDE_S))
     return np.asarray((after - before) / (2.0 * BESIDE_S))
 
 
 def _seen_at(swim: Segments, at_s: Float64) -> dict[str, Float64]:
     """State of the robot at times, estimated from its fixes: variable of laws -> (k,) values."""
-    x, y, heading = (np.interp(at_s, swim.time_s, swim.pose[:, axis]) for axis in range(3))
+    x, y, heading = interpolated(swim.time_s, swim.pose, at_s).T
     forward, left, turn = body_from_world(heading, _rates(swim, at_s)).T
     return {
         "time_s": at_s, "x_m": x, "y_m": y, "heading_rad": heading,

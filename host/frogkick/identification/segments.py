@@ -68,6 +68,15 @@ class Segments:
     rest_rate: tuple[float, float, float] | None = None
     judged_from: int = 0  # only this period and later ones are judged
 
+    def first_periods(self, count: int) -> Segments:
+        """The run with the first so many periods; its fixes and strokes stay."""
+        cut = {name: getattr(self, name)[:count] for name in ("start_s", "end_s", "action")}
+        return replace(self, **cut)
+
+    def with_fixes(self, kept: Bool) -> Segments:
+        """The run with some of its fixes."""
+        return replace(self, **{name: getattr(self, name)[kept] for name in ("time_s", "arrival_s", "pose")})
+
     @cached_property
     def begin_s(self) -> float:
         """Start of the simulation: a fix at most LEAD_S before the first stroke or period."""
@@ -277,11 +286,7 @@ def reliable(swims: Sequence[Segments]) -> tuple[list[Segments], list[dict[str, 
 def part_of(swims: Sequence[Segments], periods: int) -> list[Segments]:
     """The first periods of each run, the same share of each, ``periods`` in total."""
     share = min(1.0, periods / max(sum(len(swim.start_s) for swim in swims), 1))
-    some = []
-    for swim in swims:
-        count = round(share * len(swim.start_s))
-        cut = {name: getattr(swim, name)[:count] for name in ("start_s", "end_s", "action")}
-        some.append(replace(swim, **cut))
+    some = [swim.first_periods(round(share * len(swim.start_s))) for swim in swims]
     return [swim for swim in some if len(swim.start_s)]
 
 

@@ -251,11 +251,8 @@ def intervals(fitted: Fitted, data: Data, bias: Float64 | None = None) -> list[l
 def within_noise(error: PredictionError, floor: PredictionError, before: PredictionError) -> bool:
     """Whether an error is within noise and discretisation error."""
     over = max(NEAR_FLOOR, math.sqrt(1.0 + CHANCE * math.sqrt(2.0 / max(error.count, 1))))
-    return error.position_rmse_m <= math.hypot(
-        over * floor.position_rmse_m, INEXACT * before.position_rmse_m
-    ) and error.heading_rmse_rad <= math.hypot(
-        over * floor.heading_rmse_rad, INEXACT * before.heading_rmse_rad
-    )
+    pairs = zip(error.pair, floor.pair, before.pair, strict=True)
+    return all(left <= math.hypot(over * noise, INEXACT * plain) for left, noise, plain in pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,10 +288,7 @@ class Scored:
         if not (self.gain.low > 0.0 or sure):
             return False
         varying = self.repeatability if self.by_chance else PredictionError(0.0, 0.0)
-        pairs = (
-            (each.position_rmse_m, each.heading_rmse_rad)
-            for each in (self.before, self.after, self.noise_floor, varying)
-        )
+        pairs = (each.pair for each in (self.before, self.after, self.noise_floor, varying))
         return all(
             after <= max(before, NEAR_FLOOR * math.hypot(floor, spread))
             for before, after, floor, spread in zip(*pairs, strict=True)

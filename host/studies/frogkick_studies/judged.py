@@ -86,7 +86,7 @@ def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float)
         right = found and (all(named) or equivalent)
         wrong = found and not (all(named) or equivalent)
     before, after, floor = (
-        [error.position_rmse_m, error.heading_rmse_rad]
+        list(error.pair)
         for error in (outcome.tested.before, outcome.tested.after, outcome.tested.noise_floor)
     )
     return Result(

@@ -34,14 +34,9 @@ from frogkick_codegen.firmware import build
 LOOP_PATHS, LOOP_SEEDS, LOOP_LIMIT_S = tuple(SHAPES), 2, 90.0
 """The paths that tables are tried on in closed loop, how often each, and for how long at most."""
 
-EARLIER = 8
-"""Number of earlier actions that a look-up takes."""
-
-RESTED = -1
-"""In place of an earlier action: there was none (as in libraries)."""
-
-PERIOD_OFF = 0.1
-"""A run's period may differ by this share from the one that tables are made for."""
+EARLIER = 8  # number of earlier actions that a look-up takes
+RESTED = -1  # in place of an earlier action: there was none (as in libraries)
+PERIOD_OFF = 0.1  # a run's period may differ by this share from the one that tables are made for
 
 _RNG = np.random.default_rng(0)
 

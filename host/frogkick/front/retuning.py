@@ -45,11 +45,8 @@ STATES = 800
 BETTER = 0.98
 """The error of new tables must be at most this share of the old ones', in position or in heading."""
 
-HELD_OUT_MIN = 5
-"""Minimum of held-out periods with a measured end."""
-
-HELD_SHARE = 1.0 / 3.0
-"""Share of a single run's periods, its last ones, that is held out."""
+HELD_OUT_MIN = 5  # minimum of held-out periods with a measured end
+HELD_SHARE = 1.0 / 3.0  # share of a single run's periods, its last ones, that is held out
 
 ROBOT, LIBRARY, TABLES = "robot.toml", "library.h5", "tables.fkt"
 BEFORE, REFUSED, FIRMWARE = "before.fkt", "refused.fkt", "firmware"
@@ -227,11 +224,7 @@ def retuned(
     old: bytes | None = None,
     laws: bool = False,
 ) -> Retuning:
-    """Retune by runs that were read. The folder ``out`` is made with all its files or not at all.
-
-    Raises:
-        InputError: a run has another period than the robot, or see ``identify``.
-    """
+    """Retune by runs that were read. The folder ``out`` is made with all its files or not at all."""
     _check_periods(swims, robot)
     train, test, held_out = split(swims)
     with in_stages(stage, "identify") as tell:
@@ -312,11 +305,7 @@ def _lost(
 
 
 def require_new(out: Path) -> None:
-    """Refuse a folder that holds something: old tables must stay what they are.
-
-    Raises:
-        InputError: it does, or is no folder.
-    """
+    """Refuse a folder that holds something: old tables must stay what they are."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"--out {str(out)!r} is not empty: name a new folder")
 
@@ -377,11 +366,7 @@ def _no_better(before: PredictionError, after: PredictionError) -> str:
 
 
 def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:
-    """Refuse runs with another period than the tables will have.
-
-    Raises:
-        InputError: no runs, one without a whole period, or another period.
-    """
+    """Refuse no runs, a last one without a whole period, and another period than the tables will have."""
     if not swims:
         raise InputError("no runs: give the robot's last logs")
     for swim in swims:
@@ -396,11 +381,7 @@ def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:
 
 @contextmanager
 def _folder(out: Path) -> Iterator[Path]:
-    """A folder beside ``out`` that becomes it on success and is removed on any error.
-
-    Raises:
-        InputError: it cannot be made there.
-    """
+    """A folder beside ``out`` that becomes it on success and is removed on any error."""
     out = out.resolve()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,5 @@
 """Effects that were taken one by one, revised together: swap steps, backward elimination, stability
-selection.
-
-The first effect that is taken stands in for those that have not come yet. In the end it may be superfluous,
-or another one may do better in its place.
+selection. The first one that is taken stands in for those that have not come yet.
 """
 
 from __future__ import annotations
@@ -21,9 +18,7 @@ from frogkick.identification.fit import (
     PARAMETER_PENALTY,
     Fitted,
     Model,
-    evaluate,
     fit_many,
-    fit_on,
     step_bounds,
 )
 from frogkick.identification.refine import STEPS_MAX, Refiner
@@ -31,8 +26,7 @@ from frogkick.identification.segments import Data
 from frogkick.identification.steps import cross_fitted, linearised_optimum
 from frogkick.identification.terms import Term
 
-DRAWS = 50
-"""Resamples of the runs' periods for the stability selection."""
+DRAWS = 50  # resamples of the runs' periods for the stability selection
 
 EQUIVALENT = ("limb_wear all", "fix_latency")
 """All limbs late and all fixes late give the same run, but for its first stroke. The second is simpler."""
@@ -54,16 +48,13 @@ def revise(
 ) -> tuple[Fitted, list[list[Term]]]:
     """Revise a model of several terms: swap each for a better runner-up, eliminate what is superfluous.
 
-    Where more than two terms remain, two of the best single effects replace them if they do as well.
+    Where more than two terms remain, two of the best single effects replace them if they do as well. Returned
+    with the model are the terms that are now confounded with each of its own.
 
     Args:
-        current: result of the forward selection.
         confounded: for each term those that were confounded with it when it was taken.
         runners_up: for each term the models that were nearly as good then, with the one that was taken.
         single_effect_fits: models of one term each, the best of the first iteration.
-
-    Returns:
-        The model, and the terms that are now confounded with each.
     """
     found = [list(others) for others in confounded]
     for place in range(len(found) - 1):  # the last term was chosen beside all others
@@ -138,7 +129,9 @@ def _with_grid_at_nominal(model: Model) -> Model:
 def _total_penalised_deviance(refiner: Refiner, fitted: Fitted) -> float:
     """Deviance plus the penalties of effects and free parameters."""
     effects = EFFECT_PENALTY * len(fitted.model.terms)
-    return fitted.deviance + refiner.data.replicate_count * (effects + PARAMETER_PENALTY * fitted.free_count)
+    return fitted.deviance + refiner.data.replicate_count * (
+        effects + PARAMETER_PENALTY * fitted.model.free_count
+    )
 
 
 def resolve_equivalent(
@@ -184,41 +177,28 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
     """
     kept = list(range(len(fitted.model.terms)))
     while len(kept) > 1:
-        places, models, jacobians = [], [], []
-        for place in range(len(kept)):
+        places, tries, saved = list[int](), list[tuple[Model, Float64]](), list[float]()
+        for place, term in enumerate(fitted.model.terms):
             less = fitted.model.without(place)
             jacobian = np.delete(fitted.jacobian, fitted.model.indices(place), axis=2)
-            complements = _complements(less, jacobian, place, fitted.model.terms[place])
-            for model, derivative in [(less, jacobian), *complements]:
+            for each in [(less, jacobian), *_complements(less, jacobian, place, term)]:
+                freed = fitted.model.free_count - each[0].free_count
                 places.append(place)
-                models.append(model)
-                jacobians.append(derivative)
-        start_fits = evaluate(models, jacobians, refiner.data)
-        near = [k for k, each in enumerate(start_fits) if each.deviance < fitted.deviance + FAR_OFF]
-        fits = fit_on([start_fits[k] for k in near], refiner.data, 2)
-        dearer = [
-            each.deviance
-            - fitted.deviance
-            - refiner.data.replicate_count
-            * (EFFECT_PENALTY + PARAMETER_PENALTY * (fitted.free_count - each.free_count))
-            for each in fits
-        ]
-        if min(dearer, default=0.0) >= 0.0:
+                tries.append(each)
+                saved.append(refiner.data.replicate_count * (EFFECT_PENALTY + PARAMETER_PENALTY * freed))
+        simpler = refiner.simpler(fitted, tries, saved, FAR_OFF)
+        if simpler is None:
             break
-        best = int(np.argmin(dearer))
-        kept.pop(places[near[best]])
-        fitted = refiner.refined(fits[best])
+        kept.pop(places[simpler[1]])
+        fitted = refiner.refined(simpler[0])
     return fitted, kept
 
 
 def _complements(model: Model, jacobian: Float64, before: int, gone: Term) -> list[tuple[Model, Float64]]:
     """The model with each of its laws at intervals replaced by its complement.
 
-    The complement acts with the opposite sign in the remaining part of each cycle.
-
-    Args:
-        before, gone: index of the removed term, and the term. A constant delay of the fixes before a law on
-            fixes shifts the times at which that law acts.
+    The complement acts with the opposite sign in the remaining part of each cycle. ``gone`` is the term that
+    was removed at ``before``: a delay of the fixes before a law on fixes shifts the times at which that acts.
     """
     found = []
     known = dict(zip((p.name for p in gone.parameters), gone.values, strict=True))

@@ -1,12 +1,9 @@
 """Rollouts of many runs: on all processors, or in batches that several identifications share.
 
 A lane's result depends on no other lane, to the last bit. So a request of more lanes than a batch is wide is
-cut in parts, one for each processor.
-
-An identification mostly simulates a few runs at a time, and idle lanes of a batch cost as much as busy ones.
-Where there are several identifications, or several fits that do not need each other, they run concurrently,
-each in its own thread. When all of them wait for a simulation, their requests are rolled out together. Each
-ends with what it would end with alone. A thread may run others itself.
+cut in parts, one for each processor. Idle lanes of a batch cost as much as busy ones, so identifications or
+fits that do not need each other run concurrently, each in its own thread. When all of them wait for a
+simulation, their requests are rolled out together. A thread may run others itself.
 """
 
 from __future__ import annotations
@@ -28,8 +25,7 @@ from frogkick.identification.predict import Lane, Rollout
 
 Result = TypeVar("Result")
 
-THREADS_MAX = 8
-"""Threads: with more, batches are hardly fuller."""
+THREADS_MAX = 8  # threads: with more, batches are hardly fuller
 
 
 def roll_out(lanes: Sequence[Lane]) -> list[Rollout]:

@@ -15,8 +15,7 @@ CONFIDENCE = 0.95
 BLOCK, RESAMPLES, RUNS_ENOUGH = 4, 2000, 8
 """Consecutive periods in a block, resamples; from RUNS_ENOUGH runs on, whole runs are drawn instead."""
 
-FLIPS = 400
-"""Random sign changes of blocks."""
+FLIPS = 400  # random sign changes of blocks
 
 
 def mean_interval(runs: Sequence[Float64], rng: np.random.Generator) -> tuple[float, float]:

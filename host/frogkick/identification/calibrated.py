@@ -1,9 +1,8 @@
 """Calibrated starting models: robots of the same body that were measured before.
 
-The added mass and drag of a hull, how limbs stand and how they tire can only be identified jointly, and a
-forward selection from a plain drawing does not get there. A robot's file of the same id and body with
-``[[effect]]`` tables gives starting values; all its effects are fitted jointly to the runs at hand, by the
-poses at the ends of periods.
+A robot's file of the same id and body with ``[[effect]]`` tables gives starting values; all its effects are
+fitted jointly to the runs at hand, by the poses at the ends of periods: a forward selection from a plain
+drawing does not get there.
 """
 
 from __future__ import annotations
@@ -36,14 +35,12 @@ from frogkick.identification.steps import bounded_step, deviance_of, whiten, whi
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot, built_in_robots, load_robot
 
-STEPS_MAX = 5
-"""Steps of the fit at most."""
+STEPS_MAX = 5  # steps of the fit at most
 
 PART, PART_STEPS_MAX = 60, 12
 """From nominal values: the first so many periods are fitted in so many steps, then all periods."""
 
-LEG_S = 0.05
-"""How often wrenches are evaluated: a glide changes slowly."""
+LEG_S = 0.05  # how often wrenches are evaluated: a glide changes slowly
 
 START_GAIN = 10.0
 """Gain that each effect of a calibrated start must have at its file's values, before anything is fitted.
@@ -52,8 +49,7 @@ In units of the deviance, each model at its best noise. Ten effects must gain 10
 gain 218 in three short runs and 196 from rough values, on a simulated one whose limb misfires -1090.
 """
 
-DAMPINGS = (1e-5, 1e-3, 1e-2, 0.1, 1.0, 10.0)
-"""Dampings of a step, all tried in one batch."""
+DAMPINGS = (1e-5, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # dampings of a step, all tried in one batch
 
 NOISES = tuple(
     Noise((fix, 14.0 * fix), (idle, 30.0 * idle), (0.02, 0.6))

@@ -17,19 +17,17 @@ from frogkick.identification.misfires import misfires_of, without_failed
 from frogkick.identification.responses import Responses, responses_of
 from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Found, nominal_fit, search
-from frogkick.identification.segments import Segments, part_of
+from frogkick.identification.segments import Data, Segments, part_of
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, Scored, intervals, scored, verdict_of
 from frogkick.robot import Robot
 
-STABLE = 0.8
-"""Share of resamples of the training runs in which an effect must be selected to be named."""
+STABLE = 0.8  # share of resamples of the training runs in which an effect must be selected to be named
 
 SEARCHED_MOST = 200
 """From this many periods on, a calibrated start that explains much is tried before a whole search."""
 
-AT_BOUND = 1e-3
-"""Share of a parameter's range that counts as its bound."""
+AT_BOUND = 1e-3  # share of a parameter's range that counts as its bound
 
 PART, PART_EFFECTS = 60, 2
 """Periods and effects of a search beside a calibrated start: more effects are left to the calibrated start,
@@ -53,9 +51,6 @@ def found_in(
     A search that leaves only noise is accepted, and so is a calibrated start that does. The size of the error
     alone does not decide which of the two to try: a wall in the pool causes errors as large as those of a
     hull that differs from its drawing.
-
-    Raises:
-        InputError: no period can be used.
     """
     known = calibrated_starts(robot)
     data, fitted = nominal_fit(train, robot)
@@ -79,7 +74,7 @@ def found_in(
             found = _search_in_part(nominal, robot, candidates, progress)
             return found if _verdict(found) == FOUND else relative
         found = search(data, fitted, candidates, progress)
-    dear = PARAMETER_PENALTY * relative.fitted.free_count
+    dear = PARAMETER_PENALTY * relative.fitted.model.free_count
     searched = best_end_deviance(found.fitted, train)
     return relative if end_deviance(relative.fitted.rollouts, train) + dear < searched else found
 
@@ -137,7 +132,7 @@ def in_all_fixes(found: Found, raw: Sequence[Segments], robot: Robot) -> Found |
     if not found.fitted.model.terms or found.misfires is not None:
         return None
     data, nominal = nominal_fit(raw, robot)
-    (fitted,) = derivatives([fit(found.fitted.model, data, steps_max=2).model], data)
+    fitted = _refitted(found.fitted.model, data)
     again = replace(found, data=data, nominal=nominal, fitted=fitted, sensitivities=[])
     if _verdict(again) not in (FOUND, FOUND_LAW):
         return None
@@ -206,7 +201,7 @@ def _penalised(found: Found) -> float:
     """The deviance, penalised by the number of effects and of free parameters."""
     fitted = found.fitted
     plain = fitted.deviance if found.misfires is None else found.misfires.deviance
-    return plain + EFFECT_PENALTY * len(fitted.model.terms) + PARAMETER_PENALTY * fitted.free_count
+    return plain + EFFECT_PENALTY * len(fitted.model.terms) + PARAMETER_PENALTY * fitted.model.free_count
 
 
 def _relative(
@@ -231,7 +226,7 @@ def _search_in_part(nominal: Found, robot: Robot, candidates: Sequence[Term], pr
     found = search(*part, candidates, progress, most=PART_EFFECTS)
     fitted = nominal.fitted
     if found.fitted.model.terms:
-        fitted = derivatives([fit(found.fitted.model, data, steps_max=2).model], data)[0]
+        fitted = _refitted(found.fitted.model, data)
     return replace(found, data=data, nominal=nominal.fitted, fitted=fitted, sensitivities=[])
 
 
@@ -258,14 +253,17 @@ def pruned(found: Found, progress: TellStage) -> Found:
         count = len(found.fitted.model.terms)
         progress("effects held out", count, count + 1)
         less = found.fitted.model.without(place)
-        fitted = found.nominal
-        if less.terms:
-            fitted = derivatives([fit(less, data, steps_max=2).model], data)[0]
+        fitted = _refitted(less, data) if less.terms else found.nominal
         kept = [k for k in range(count) if k != place]
         rivals = [found.rivals[k] for k in kept] if found.rivals else []
         found = replace(
             found, fitted=fitted, confounded_with=[found.confounded_with[k] for k in kept], rivals=rivals
         )
+
+
+def _refitted(model: Model, data: Data) -> Fitted:
+    """A model fitted to other runs, or with fewer terms, with derivatives by all its parameters."""
+    return derivatives([fit(model, data, steps_max=2).model], data)[0]
 
 
 def _law_of_no_strength(found: Found) -> int | None:

@@ -1,12 +1,8 @@
 """What is left of the runs after a fit: in words, and in physical quantities.
 
-Residual diagnostics tell which explanatory variable accounts for the residuals at the ends of periods. The
-physical quantities are the wrench that the model misses, strokes that failed, and fixes that are off.
-
 The missing wrench in each third of a period is a hidden state on which the residuals depend linearly. It is
-estimated from all residuals of a run at once, as an Ornstein-Uhlenbeck process (a Gauss-Markov state; the
-mean and covariance are those of a Kalman smoother). Its size and correlation are maximum-likelihood
-estimates.
+estimated from all residuals of a run at once, as an Ornstein-Uhlenbeck process whose size and correlation are
+maximum-likelihood estimates; mean and covariance are those of a Kalman smoother.
 
 Source: Rauch, Tung, Striebel 1965 (smoother); Hartikainen, Sarkka 2010 (the same as Gaussian regression).
 """
@@ -125,14 +121,9 @@ SIZES_N, ARMS_M, MEMORIES = (0.0, *np.geomspace(3e-5, 1e-2, 8)), (0.005, 0.02, 0
 """Values that are tried: size of the wrench, its torque over its force, and its correlation from third to
 third."""
 
-STRETCH = 40
-"""Number of periods that are estimated together; longer runs are cut."""
-
-CLEAR = 0.25
-"""A failed stroke clearly explains a residual if less than this share of its square remains."""
-
-OUTLIER_SIGMA = 3.0
-"""A fix is an outlier if its innovation exceeds this many standard deviations."""
+STRETCH = 40  # number of periods that are estimated together; longer runs are cut
+CLEAR = 0.25  # a failed stroke clearly explains a residual if less than this share of its square remains
+OUTLIER_SIGMA = 3.0  # a fix is an outlier if its innovation exceeds this many standard deviations
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,9 @@
 """Drift of limbs while the robot swims: random-walk offsets beside the model, tracked by a Kalman filter.
 
-No two strokes of shape-memory wire are the same, and the error of one stroke mostly recurs in the next. The
-robot's own estimator adapts to it; a prediction here likewise uses what the run has shown so far. Each limb
-has an offset of the pose at the end of a period in which it fires (forward, left, heading). State: the
-offsets of all limbs. F: identity, the offsets are random walks. Q: their variance gain per period. H: the
+Each limb has an offset of the pose at the end of a period in which it fires (forward, left, heading). State:
+the offsets of all limbs. F: identity, the offsets are random walks. Q: their variance gain per period. H: the
 limbs that fire in the period. R: the variance of the residuals. The variance gain is chosen on the training
-runs. Where tracking gains next to nothing there, it is left out, so a robot that swims as modelled is
-predicted by the model alone.
+runs. Where tracking gains next to nothing there, it is left out.
 """
 
 from __future__ import annotations
@@ -25,14 +22,9 @@ from frogkick.robot import Robot
 RANDOM_WALKS = (0.01, 0.02, 0.05, 0.1, 0.2)
 """Candidates for the variance that an offset gains in a period, relative to that of the residuals."""
 
-INITIAL_VARIANCE = 0.05
-"""Variance of an offset at a run's start, likewise relative."""
-
-HUBER_SIGMAS = (2.0, 4.0)
-"""Innovations are clipped at so many times the size of the residuals."""
-
-GAIN_MIN = 3.0
-"""Minimum fall of the deviance of the training runs."""
+INITIAL_VARIANCE = 0.05  # variance of an offset at a run's start, likewise relative
+HUBER_SIGMAS = (2.0, 4.0)  # innovations are clipped at so many times the size of the residuals
+GAIN_MIN = 3.0  # minimum fall of the deviance of the training runs
 
 
 @dataclass(frozen=True)
@@ -74,8 +66,6 @@ def filter_offsets(observed: Float64, firing: Bool, random_walk: float, huber_si
     Args:
         observed: (m,) residual of each period, in units of the residuals' size; NaN if unknown.
         firing: (m, limbs) whether a limb fires in a period.
-        random_walk: variance that each limb's offset gains in a period; 0 = offsets stay at 0.
-        huber_sigma: clipping threshold of innovations.
     """
     expected = np.zeros(len(observed))
     if not random_walk:

@@ -2,11 +2,10 @@
 
 Two models explain the runs equally well: the one found, and the one with a confounded effect in its place, or
 with a parameter at either end of its interval and all others refitted. From rest both are simulated side by
-side. A beam search over sequences of actions keeps the sequences whose periods the two models predict
-farthest apart, in units of the residuals' scale (the T-optimality of Atkinson, Fedorov 1975). As with runs,
-the second robot is put to the first one's pose when a period begins, so that each period counts by itself.
-The separation that is reported for the best sequence is then computed as identification would see it: both
-models are rolled out on the first one's fixes.
+side. A beam search keeps the sequences of actions whose periods the two models predict farthest apart, in
+units of the residuals' scale (the T-optimality of Atkinson, Fedorov 1975). The second robot is put to the
+first one's pose when a period begins. The separation that is reported is computed as identification would see
+it: both models are rolled out on the first one's fixes.
 """
 
 from __future__ import annotations
@@ -31,17 +30,10 @@ from frogkick.identification.steps import whitener
 from frogkick.identification.terms import Interval, Term
 from frogkick.robot import Robot, in_a_row
 
-PERIODS = 10
-"""Periods of a planned sequence."""
-
-BEAM_WIDTH = 3
-"""Width of the beam: sequences that are extended."""
-
-WIDE = 0.5
-"""An interval that covers this share of a parameter's bounds calls for an experiment."""
-
-PAIRS_MAX = 2
-"""Pairs that are planned for at most: each costs some seconds."""
+PERIODS = 10  # periods of a planned sequence
+BEAM_WIDTH = 3  # width of the beam: sequences that are extended
+WIDE = 0.5  # an interval that covers this share of a parameter's bounds calls for an experiment
+PAIRS_MAX = 2  # pairs that are planned for at most: each costs some seconds
 
 DECISIVE_SIGMA = math.sqrt(CONFOUNDED_MARGIN) + 1.0
 """From this separation on, one recording is decisive: models are confounded up to CONFOUNDED_MARGIN."""
@@ -49,9 +41,7 @@ DECISIVE_SIGMA = math.sqrt(CONFOUNDED_MARGIN) + 1.0
 POOL_M = 0.6
 """Side of the square that a sequence stays in, about the middle of the runs, unless these went further."""
 
-
-CAMERA_S, LATE_S = 1.0 / 15.0, 0.08
-"""Time between fixes, and from a picture to its fix."""
+CAMERA_S, LATE_S = 1.0 / 15.0, 0.08  # time between fixes, and from a picture to its fix
 
 _BACK_S = 0.7  # of trajectory before the present, for fixes that are older than stated
 _GLIDE_S = 0.4  # at a period's end, that the start of the next one is estimated from

@@ -22,15 +22,13 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.compiled import kept
 
-HUBER_SIGMA = 5.0
-"""Threshold of the Huber loss of innovations, in standard deviations."""
+HUBER_SIGMA = 5.0  # threshold of the Huber loss of innovations, in standard deviations
 
 INITIAL_RATE_STD = (0.02, 0.02, 0.3)
 """Initial standard deviation of the rate's error: m/s, m/s, rad/s. It is less for a robot that was seen at
 rest."""
 
-INITIAL_RATE_STD_MIN = (2e-4, 2e-4, 2e-3)
-"""Its lower bound."""
+INITIAL_RATE_STD_MIN = (2e-4, 2e-4, 2e-3)  # its lower bound
 
 
 @dataclass(frozen=True)

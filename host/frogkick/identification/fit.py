@@ -24,13 +24,8 @@ from frogkick.identification.steps import CONVERGED, deviance_of, linearised_opt
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
-STEP_SHARE = 0.05
-"""Share of a parameter's range: the step of its finite difference, where it names none."""
-
-
-SEGMENTS = 6
-"""Segments of a coarsened frame's edge: turns are off by 0.2 degrees, at twice the speed."""
-
+STEP_SHARE = 0.05  # share of a parameter's range: the step of its finite difference, where it names none
+SEGMENTS = 6  # segments of a coarsened frame's edge: turns are off by 0.2 degrees, at twice the speed
 
 EFFECT_PENALTY, PARAMETER_PENALTY = 20.0, 4.0
 """What each effect, and each free parameter, must gain to be taken, in units of the deviance.
@@ -43,11 +38,8 @@ effect has a penalty of its own, because it is the best of many candidates.
 CONFOUNDED_MARGIN = 15.0
 """Effects whose penalised deviances differ by less are confounded: the data cannot tell them apart."""
 
-REFINING_LEG_S = 0.06
-"""How often flows and wrenches are evaluated while effects are fitted."""
-
-WRENCH_LEG_S = 0.03
-"""The same for effects in the model that act on the body, which lags by half of it."""
+REFINING_LEG_S = 0.06  # how often flows and wrenches are evaluated while effects are fitted
+WRENCH_LEG_S = 0.03  # the same for effects in the model that act on the body, which lags by half of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +74,11 @@ class Model:
     def values(self) -> Float64:
         """Parameters of all terms, concatenated."""
         return np.array([value for term in self.terms for value in term.values], dtype=np.float64)
+
+    @property
+    def free_count(self) -> int:
+        """Number of free parameters."""
+        return len(self.values) - len(self.fixed)
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -146,11 +143,7 @@ def rollouts_of(models: Sequence[Model], swims: Sequence[Segments]) -> list[list
 
 
 def residuals_of(rollouts: Sequence[Rollout], rows: Bool | None = None) -> Float64:
-    """(n, 9) residuals of all periods; see Rollout.residuals.
-
-    Args:
-        rows: which of all their periods; by default those with fixes in every phase.
-    """
+    """(n, 9) residuals of some periods, by default those with fixes in every phase; see Rollout.residuals."""
     every = np.concatenate(
         [
             np.full_like(rollout.residuals, np.nan) if rollout.failed else rollout.residuals
@@ -162,8 +155,7 @@ def residuals_of(rollouts: Sequence[Rollout], rows: Bool | None = None) -> Float
     return np.where(np.isfinite(every[rows]), every[rows], DIVERGED[None, :])
 
 
-DIVERGED = np.tile([0.1, 0.1, 1.0], len(PHASES))
-"""Residual of a simulation that diverged: m, m, rad."""
+DIVERGED = np.tile([0.1, 0.1, 1.0], len(PHASES))  # residual of a simulation that diverged: m, m, rad
 
 
 def reestimated_noise(model: Model, rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Model:
@@ -193,14 +185,9 @@ class Fitted:
         return cls(model, rollouts, residuals, known, deviance_of(residuals), fresh=jacobian is None)
 
     @property
-    def free_count(self) -> int:
-        """Number of free parameters."""
-        return len(self.model.values) - len(self.model.fixed)
-
-    @property
     def penalised_deviance(self) -> float:
         """Deviance plus the penalty of the free parameters, without that of the effects."""
-        return self.deviance + PARAMETER_PENALTY * self.free_count
+        return self.deviance + PARAMETER_PENALTY * self.model.free_count
 
     def first(self, count: int) -> Fitted:
         """The same with the first so many terms, where the others change no prediction."""
@@ -301,9 +288,8 @@ def refresh_jacobian(
 ) -> list[Fitted]:
     """Refresh Jacobians at the present values; columns that are up to date are not simulated again.
 
-    Args:
-        skipped: the first so many parameters keep their derivatives.
-        fixed: see ``derivatives``.
+    The first so many parameters that are ``skipped`` keep their derivatives; for ``fixed`` see
+    ``derivatives``.
     """
     wanted = [
         [

@@ -17,8 +17,7 @@ from frogkick.identification.predict import Lane, LaneState, RolloutBatch, lanes
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
 
-HORIZONS = (1, 2, 3, 5)
-"""Periods ahead."""
+HORIZONS = (1, 2, 3, 5)  # periods ahead
 
 STARTS_MOST = 60
 """Starts in all runs together; of more, evenly spaced ones are taken: each costs as much as its periods."""

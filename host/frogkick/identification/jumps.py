@@ -1,12 +1,8 @@
 """Fixes that jump by chance, recognised by their neighbours alone, without a model.
 
-Each fix is compared with the cubic through the two fixes before and the two fixes after it. It jumped if it
-is far from this curve and also far from the line through the two fixes on either side. (At a step, where the
-camera was moved, a fix agrees with the fixes on one side.) The farthest fix is removed first, then the others
-are compared again.
-
-The law describes a camera whose fixes are off by one distance, in any direction, with some probability. A
-prediction cannot know which fix will jump next. The fixes that did jump are left out.
+Each fix is compared with the cubic through the two fixes before and the two after it, and with the line
+through the two on either side: at a step, where the camera was moved, a fix agrees with one side. The
+farthest fix is removed first, then the others are compared again.
 """
 
 from __future__ import annotations
@@ -20,14 +16,12 @@ from frogkick.core.arrays import Float64, Int64
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import Interval, Term, law_term
 
-FAR_SIGMA = 6.0
-"""A fix is far off if its distance is more than this many robust standard deviations."""
+FAR_SIGMA = 6.0  # a fix is far off if its distance is more than this many robust standard deviations
 
 FIXES_LEAST, SHARE_LEAST = 5, 0.004
 """Smallest number of jumps, and their smallest share of the fixes: a single jump is an accident."""
 
-APART_S = 0.6
-"""Neighbours that span more time are not compared."""
+APART_S = 0.6  # neighbours that span more time are not compared
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,15 +19,13 @@ Strength = tuple[str, float, float, float]
 Numbers = Mapping[str, Strength]
 """Parameter -> unit, low, high, step of a finite difference (0: a share of its range)."""
 
-
 PLACES, MANY = 11, 400
 """Places tried along each side of the area of the runs; half as many from MANY periods on, to save memory."""
 
 PLACE_STEP_M = 0.005
 """Finite-difference step of a place: a longer one would cross the point at which a cable becomes taut."""
 
-MOMENTS = 48
-"""Largest number of moments that are tried for a law that acts from a moment on."""
+MOMENTS = 48  # largest number of moments that are tried for a law that acts from a moment on
 
 INTERVALS = 120
 """Cycle times that are tried for a law at intervals: so close that no interval of a run is missed by one."""

@@ -1,10 +1,7 @@
-"""Laws that the catalogue does not have: formulas of a grammar, screened by linear responses.
+"""Laws that the catalogue does not have: formulas of a grammar, screened by linear responses (``responses``).
 
-To first order, the residual of a period is the sum of its responses to forces, flows, weaker strokes and
-wrong fixes; see ``responses``. So a formula needs no simulation of its own: its values along the run,
-computed from the fixes, are multiplied by the responses. The best formula of each kind joins the candidates
-of the catalogue and is fitted by simulation like any effect. All kinds are screened again beside each effect
-that is taken, because two laws that act together hide each other's place.
+A formula's values along the run are multiplied by the responses. The best one of each kind joins the
+candidates; see host/docs/pages/explanation/identification.md.
 
 Source: Mojgani, Chattopadhyay, Hassanzadeh 2022 (model error as a sparse law of what a filter had to add);
 Brunton, Proctor, Kutz 2016 (regression on a library of terms).
@@ -28,11 +25,8 @@ from frogkick.identification.steps import DOF, linearised_optimum, whitener
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
-REFINED = 8
-"""Kinds whose shapes are refined beyond the grid, best first."""
-
-TRIED = 4
-"""Shapes of each kind whose gain is computed exactly; they are chosen by one least-squares step."""
+REFINED = 8  # kinds whose shapes are refined beyond the grid, best first
+TRIED = 4  # shapes of each kind whose gain is computed exactly; they are chosen by one least-squares step
 
 BIN_S, BINS_MOST = 0.2, 400
 """A law at intervals is screened as a sum of bins of this length, longer if there would be more than
@@ -45,18 +39,10 @@ limb's gain is screened at a large step as well, because a weak limb pushes in a
 BY_CHANCE = 24
 """Shapes of each kind that enter the estimate of the largest gain by chance: their neighbours act alike."""
 
-
-MOMENT = "at"
-"""Name of the parameter that is a law's moment."""
-
-WORSE = 3.84
-"""Rise of the deviance at the ends of a 95 % interval (chi-square with one degree of freedom)."""
-
-SAME = 0.04
-"""Two moments fit equally well if their deviances differ by less."""
-
-NEIGHBOURS = 6
-"""Gaps between strokes that are tried on each side of the moment's own gap."""
+MOMENT = "at"  # name of the parameter that is a law's moment
+WORSE = 3.84  # rise of the deviance at the ends of a 95 % interval (chi-square with one degree of freedom)
+SAME = 0.04  # two moments fit equally well if their deviances differ by less
+NEIGHBOURS = 6  # gaps between strokes that are tried on each side of the moment's own gap
 
 
 class Laws:

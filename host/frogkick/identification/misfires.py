@@ -1,14 +1,7 @@
 """Limbs that misfire by chance: which ones, how often, and at which strokes.
 
-A stroke either happens or does not, and a mean gain describes neither. For each stroke of a period two
-hypotheses are compared: the limb fired as commanded, or it did nothing. The change of the residual by the
-second is simulated. With p the probability that a limb does nothing, the density of a residual is the mixture
-of both hypotheses. The probabilities, the scale, and each stroke's probability to have failed are
-maximum-likelihood estimates.
-
-Nobody can predict which stroke fails next. So a prediction assumes the likelier case: the stroke happens,
-unless its limb fails more often than not. The errors then hardly fall, but the density improves: it is judged
-on the test runs by the log score of the mixture.
+The density of a residual is a mixture; see host/docs/pages/explanation/identification.md. Nobody can predict
+which stroke fails next, so a prediction assumes the likelier case, and the mixture shows in the log score.
 
 Source: Dempster, Laird, Rubin 1977 (mixtures by expectation maximisation).
 """
@@ -44,27 +37,17 @@ from frogkick.identification.terms import Interval, Term, law_term
 CHANCES = (0.01, 0.7)
 """Smallest and largest probability of a misfire: a limb that mostly does nothing is worn."""
 
-FAILED_LEAST = 2.0
-"""Smallest expected number of failed strokes of a limb: a single one is an outlier."""
-
-LIMBS_MOST = 3
-"""Largest number of limbs that misfire."""
-
-TURNS = 200
-"""Largest number of iterations of the expectation maximisation."""
-
-STARTS = (0.1, 0.35)
-"""Probabilities that the expectation maximisation starts from."""
-
-DRAWS = 200
-"""Resamples of periods for the stability selection."""
+FAILED_LEAST = 2.0  # smallest expected number of failed strokes of a limb: a single one is an outlier
+LIMBS_MOST = 3  # largest number of limbs that misfire
+TURNS = 200  # largest number of iterations of the expectation maximisation
+STARTS = (0.1, 0.35)  # probabilities that the expectation maximisation starts from
+DRAWS = 200  # resamples of periods for the stability selection
 
 PATTERN = 25.0
 """Failures follow a rule if a split of the strokes lowers the deviance by more; by chance the best split
 gains 10."""
 
-PROFILE = 3.84
-"""Rise of the deviance at the ends of an interval of 95 % (profile likelihood)."""
+PROFILE = 3.84  # rise of the deviance at the ends of an interval of 95 % (profile likelihood)
 
 _LEAST = np.tile([2e-5, 2e-5, 2e-4], 3)  # m, m, rad: discretisation error, the smallest scale
 

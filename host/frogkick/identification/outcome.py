@@ -85,7 +85,7 @@ class Outcome:
     """Result of identification.
 
     Attributes:
-        verdict: see frogkick.identification.verdict.
+        verdict: see ``verdict_of``.
         train, test: the runs.
         found: result of the search; None if there was not enough data.
         parameters: intervals of the parameters of each term.
@@ -166,9 +166,7 @@ class Outcome:
     def residuals(self) -> dict[str, Any] | None:
         """What is left of the training runs, as quantities that can be read; None without a search.
 
-        ``wrench``: the missing force and torque of each third of a period, with covariance; ``strokes``: the
-        log likelihood ratio of fired over not fired. Both are None if laws were not looked for. ``fixes``:
-        robust innovations.
+        The missing wrench and the ratios of strokes are None if laws were not looked for.
         """
         if self.found is None:
             return None
@@ -225,14 +223,7 @@ def identify(
 ) -> Outcome:
     """Find the effects that a robot's model lacks from some runs, and predict others with and without them.
 
-    Args:
-        train, test: runs to learn from, runs to predict.
-        own: a file of the user's own effects.
-        progress: called with a stage, steps done and to do, and what is being tried.
-        measured: a fit may start from the values of calibrated built-in robots; without, only from their
-            choice of effects, at nominal values. See frogkick.identification.calibrated.
-        laws: search formulas as well where the catalogue leaves more than noise. See
-            frogkick.identification.laws.
+    For the options see ``frogkick.identify``; ``own`` is a file of the user's own effects.
 
     Raises:
         InputError: the user's effects cannot be used, no period of the runs can be judged, no test run has
@@ -367,9 +358,6 @@ def write_predictions(target: Path, outcome: Outcome) -> None:
     """Write one row for each period of each test run, in the run's own frame, predicted by the models alone.
 
     Where tracking drift gains something, the columns ``_followed`` and ``_nominal_followed`` are added.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -394,11 +382,7 @@ def write_predictions(target: Path, outcome: Outcome) -> None:
 
 
 def write_robot(target: Path, outcome: Outcome) -> None:
-    """Write the nominal robot's TOML with the effects found.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the nominal robot's TOML with the effects found."""
     write_text(target, found_toml(outcome, target.resolve().parent))
 
 
@@ -427,11 +411,7 @@ def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Ter
 
 
 def robot_of_runs(runs: Sequence[Segments] | Sequence[RunLog]) -> str:
-    """Return the id of the robot of all runs.
-
-    Raises:
-        InputError: the runs are of several robots.
-    """
+    """Return the id of the robot of all runs; refuse runs of several robots."""
     names = sorted({run.robot_id for run in runs})
     if len(names) != 1:
         raise InputError(f"the runs are of robots {', '.join(names)}: give runs of one")

@@ -27,15 +27,13 @@ from frogkick.robot import Robot
 STEP_S = 1.2e-3
 """Finest time step here: coarser than the pool's, which changes a period's end by some 0.02 mm."""
 
-CLIP_SIGMA = 8.0
-"""Residuals are clipped at so many standard deviations."""
+CLIP_SIGMA = 8.0  # residuals are clipped at so many standard deviations
 
 PHASES = ((0.12, 0.35), (0.35, 0.65), (0.65, 1.0))
 """Phases of a period, as shares of it: limbs straighten, the robot glides, the period ends."""
 
 _RNG = np.random.default_rng(0)
 _HISTORY_S = 1.0  # of the trajectory before a correction that are stored, for late fixes
-
 
 LONGEST_S = 8e-3
 """Longest step. Some longer ones fail to converge, and then their lane goes on alone at the cost of eight
@@ -251,8 +249,7 @@ class RolloutBatch:
     def _correct(self, lane_state: LaneState) -> tuple[Float64, Float64]:
         """At a segment's end: record the prediction that ends here and update by the fixes known by now.
 
-        Returns:
-            The estimated error of pose and velocity, (3,) each, world frame.
+        Returned is the estimated error of pose and velocity, (3,) each, world frame.
         """
         swim, at_s = lane_state.lane.swim, lane_state.segment_end_s
         ended = -1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,17 +30,13 @@ RELEASE_PENALTY = 8.0
 GRID_PENALTY = 8.0
 """And by this more for a parameter with a grid: the best of many local minima gains as much by chance."""
 
-FEW_PERIODS_MAX = 3.0
-"""Gains of few periods are overestimated, at most by this factor."""
+FEW_PERIODS_MAX = 3.0  # gains of few periods are overestimated, at most by this factor
 
 NOISE_OF_MISFIT = (5e-5, 2e-3)
 """Process noise while limbs straighten (see Noise.actuated) beyond which a model still misfits."""
 
-REFIT_MARGIN = 60.0
-"""A model that is worse by more than this before its fit is not fitted."""
-
-STEPS_MAX = 6
-"""Steps of a fit at most; most converge after two."""
+REFIT_MARGIN = 60.0  # a model that is worse by more than this before its fit is not fitted
+STEPS_MAX = 6  # steps of a fit at most; most converge after two
 
 
 def best_noise(model: Model, data: Data) -> Fitted:
@@ -142,17 +139,35 @@ class Refiner:
                     back += [k for k in free if every_one or model.parameters[k].grid]
             if not back:
                 return fitted
-            tries = [with_nominal(fitted, k) for k in back]
-            starts = evaluate(tries, [fitted.jacobian] * len(tries), self.data)
-            near = [k for k, each in enumerate(starts) if each.deviance < fitted.deviance + REFIT_MARGIN]
-            fits = fit_on([starts[k] for k in near], self.data, 2)
-            dearer = [
-                each.deviance - fitted.deviance - self.release_penalty(fitted, back[k])
-                for k, each in zip(near, fits, strict=True)
-            ]
-            if min(dearer, default=0.0) >= 0.0:
+            tries = [(with_nominal(fitted, k), fitted.jacobian) for k in back]
+            saved = [self.release_penalty(fitted, k) for k in back]
+            simpler = self.simpler(fitted, tries, saved, REFIT_MARGIN)
+            if simpler is None:
                 return fitted
-            fitted = fits[int(np.argmin(dearer))]
+            fitted, _ = simpler
+
+    def simpler(
+        self,
+        fitted: Fitted,
+        tries: Sequence[tuple[Model, Float64]],
+        saved: Sequence[float],
+        margin: float,
+    ) -> tuple[Fitted, int] | None:
+        """The best of some simpler models, fitted, and its index; None if all lose more than they save.
+
+        Args:
+            tries: the models, with Jacobians of a nearby point.
+            saved: penalties that each saves.
+            margin: a model that is worse by more before its fit is not fitted.
+        """
+        starts = evaluate([model for model, _ in tries], [jacobian for _, jacobian in tries], self.data)
+        near = [k for k, each in enumerate(starts) if each.deviance < fitted.deviance + margin]
+        fits = fit_on([starts[k] for k in near], self.data, 2)
+        dearer = [each.deviance - fitted.deviance - saved[k] for k, each in zip(near, fits, strict=True)]
+        if min(dearer, default=0.0) >= 0.0:
+            return None
+        best = int(np.argmin(dearer))
+        return fits[best], near[best]
 
 
 def _damping(fitted: Fitted) -> Float64:

@@ -1,10 +1,8 @@
 """Responses of the residuals to small forces, flows, weaker strokes and wrong fixes, made once for all laws.
 
-To first order, the residual of a period is the sum of its responses: to a force, a torque or a flow in each
-third of the period, to a weaker stroke in it or in one of the periods before, and to an error of each fix.
-The responses to the first two are simulated: a force or a flow acts in one third of every period, and a limb
-is a little weaker, much weaker or idle in every LAGS-th period. Fixes act through the filter alone, whose
-gains do not depend on the values of the fixes, so the responses to them are computed without a simulation.
+A force or a flow acts in one third of every period, and a limb is a little weaker, much weaker or idle in
+every LAGS-th period. Fixes act through the filter alone, whose gains do not depend on their values, so the
+responses to them are computed without a simulation.
 """
 
 from __future__ import annotations
@@ -42,14 +40,10 @@ PUSHES = (1e-3, 1e-3, 2e-5)
 FLOW_MPS = 2e-3
 LOSSES = (0.15, 0.45, 0.75, 1.0)
 """Simulated losses of a stroke's gain. Several, because a much weaker limb pushes in another direction."""
-LEG_S = 0.12
-"""Time between evaluations of forces and flows while responses are simulated."""
-BESIDE_S = 0.15
-"""A velocity is estimated from the poses this long before and after."""
-FADED = 1e-4
-"""Responses to a fix below this are set to zero."""
-GLIDE_S = 1.0
-"""Time constant with which a correction of the velocity decays by drag."""
+LEG_S = 0.12  # time between evaluations of forces and flows while responses are simulated
+BESIDE_S = 0.15  # a velocity is estimated from the poses this long before and after
+FADED = 1e-4  # responses to a fix below this are set to zero
+GLIDE_S = 1.0  # time constant with which a correction of the velocity decays by drag
 
 
 class _Push(Effect):

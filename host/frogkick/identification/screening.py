@@ -1,7 +1,4 @@
-"""Candidate effects judged beside a model: to first order (score test), and on held-out periods.
-
-A candidate is not fitted to be ranked. The derivatives of the residuals by its parameters, at values where
-the effect vanishes, predict the gain of its optimum (an analogue of the score test, Rao 1948).
+"""Candidate effects judged beside a model: to first order (score test, Rao 1948), and on held-out periods.
 
 To first order a robot responds linearly to what is done to its strokes, its water, its body and its fixes. So
 effects are first probed without a simulation. A parameter that changes none of these where the effect
@@ -41,11 +38,8 @@ COARSE_LEG_S, COARSE_STEP_S = 0.18, 2.4e-3
 """How often flows and wrenches are evaluated while candidates are only ranked, and the finest step then."""
 
 _PROBES = 60
-_SUM_ERROR = 1e-6
-"""Share of a change that a linear combination of others may leave."""
-
-FIXED_SHARE = 0.05
-"""A parameter is fixed if it gains less than this share of its effect's predicted gain."""
+_SUM_ERROR = 1e-6  # share of a change that a linear combination of others may leave
+FIXED_SHARE = 0.05  # a parameter is fixed if it gains less than this share of its effect's predicted gain
 
 
 @dataclass(frozen=True, eq=False)

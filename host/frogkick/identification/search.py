@@ -1,9 +1,8 @@
-"""Which effects a model lacks: forward selection by penalised likelihood, cross-validated on parts of the
-runs.
+"""Which effects a model lacks: forward selection by penalised likelihood (Efroymson 1960), cross-validated.
 
 Each iteration screens all candidates by their derivatives, fits the best few by simulation, and takes the one
 that gains most, if its gain exceeds its penalty, what the best candidate would gain by chance, and its
-standard error on held-out parts (Efroymson 1960, forward selection).
+standard error on held-out parts.
 """
 
 from __future__ import annotations
@@ -60,20 +59,14 @@ if TYPE_CHECKING:
 REFINED = 3
 """Candidates that are fitted by simulation in each iteration; the others are judged by their derivatives."""
 
-RIVAL_SHARE = 0.25
-"""A candidate whose predicted gain is less than the best one's by this share is not fitted."""
-
-LAWS = 12
-"""Best kinds of laws that are screened beside the catalogue in each iteration."""
-
-MOST = 4
-"""Effects at most."""
+RIVAL_SHARE = 0.25  # a candidate whose predicted gain is less than the best one's by this share is not fitted
+LAWS = 12  # best kinds of laws that are screened beside the catalogue in each iteration
+MOST = 4  # effects at most
 
 UNEXPLAINED_MAX = 0.7
 """Maximum share of the error that the first effect of a short search may leave unexplained."""
 
-DECISIVE_GAIN = 60.0
-"""A decisive gain: held-out periods need not agree in it as well."""
+DECISIVE_GAIN = 60.0  # a decisive gain: held-out periods need not agree in it as well
 
 HELD_OUT_GAIN_MIN = 1.0
 """Minimum rise of twice the log density of a held-out period (9 numbers): less is below the noise."""
@@ -119,11 +112,7 @@ class Found:
 
 
 def nominal_fit(swims: Sequence[Segments], robot: Robot) -> tuple[Data, Fitted]:
-    """The periods of runs that can be used, and the nominal model with its noise fitted to them.
-
-    Raises:
-        InputError: no period can be used.
-    """
+    """The periods of runs that can be used, and the nominal model with its noise fitted to them."""
     model = Model(robot, (), Noise())
     (rollouts,) = rollouts_of([model], swims)
     rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)
@@ -144,11 +133,9 @@ def search(
     columns: Sequence[Column] | None = None,
     laws: Laws | None = None,
 ) -> Found:
-    """Find the effects that a robot's model lacks.
+    """Find the effects that a robot's model lacks; for ``data`` and ``nominal`` see ``nominal_fit``.
 
     Args:
-        data, nominal: see ``nominal_fit``.
-        progress: called with each stage, steps done and to do.
         most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
         columns: sensitivities of the candidates, where they are known.
         laws: screened beside the candidates, anew in each iteration.

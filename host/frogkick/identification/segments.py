@@ -18,11 +18,8 @@ from frogkick.robot import Robot
 from frogkick.runs.recorded.importer import clock_problem, load_run
 from frogkick.runs.runlog import FixFlag, RunLog
 
-LEAD_S = 1.0
-"""How long before the first stroke the simulation starts."""
-
-ACTUATION_S = 0.3
-"""How long after a pulse's start its limb pushes hardest."""
+LEAD_S = 1.0  # how long before the first stroke the simulation starts
+ACTUATION_S = 0.3  # how long after a pulse's start its limb pushes hardest
 
 _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
 """Fixes from this time before a period's end to this time after it determine the pose there: the robot
@@ -199,11 +196,7 @@ class Data:
 
 
 def read_segments(path: Path | str, robot: Robot | None = None) -> Segments:
-    """Read a run: a log of ours or a recorded run of the paper.
-
-    Raises:
-        InputError: it cannot be read, or is another robot's.
-    """
+    """Read a run, a log of ours or a recorded run of the paper; see ``segments_of``."""
     return segments_of(load_run(path), Path(path).name, robot)
 
 
@@ -272,11 +265,7 @@ def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
 
 
 def reliable(swims: Sequence[Segments]) -> tuple[list[Segments], list[dict[str, str]]]:
-    """Runs whose strokes have reliable times, and the ``run`` and ``reason`` of each that is left out.
-
-    Raises:
-        InputError: none can.
-    """
+    """Runs whose strokes have reliable times (an InputError without any), and the others: run and reason."""
     kept = [swim for swim in swims if not swim.problem]
     if swims and not kept:
         raise InputError(f"run {swims[0].name!r} cannot be used: {swims[0].problem}: give other runs")
@@ -325,11 +314,7 @@ def replicate_count(swims: Sequence[Segments]) -> int:
 
 
 def _check_units(name: str, time_s: Float64, pose: Float64) -> None:
-    """Refuse headings and positions that cannot be in radians and metres.
-
-    Raises:
-        InputError: either.
-    """
+    """Refuse headings and positions that cannot be in radians and metres."""
     if not len(pose):
         return
     widest = float(np.abs(pose[:, 2]).max())
@@ -349,11 +334,7 @@ def _check_units(name: str, time_s: Float64, pose: Float64) -> None:
 
 
 def _check_clock(name: str, age_s: Float64) -> None:
-    """Refuse capture times by a clock that jumped against the one of arrivals.
-
-    Raises:
-        InputError: more than a few fixes are much older or younger than the others.
-    """
+    """Refuse capture times by a clock that jumped against the one of arrivals."""
     off = np.abs(age_s - np.median(age_s)) if len(age_s) else age_s
     if np.count_nonzero(off > AGE_OFF_S) > AGE_SHARE * len(off):
         raise InputError(

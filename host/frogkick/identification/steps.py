@@ -1,10 +1,8 @@
 """The likelihood of residuals, one for all of identification, and Gauss-Newton steps on it.
 
-Residuals are Student-t distributed with DOF degrees of freedom; the scale matrix is the one of maximum
-likelihood. The gate of a calibrated start, its descent, the search, every refit and the score on held-out
-runs all use this one density. Its scale is always the one of maximum likelihood, so a residual that grows in
-its own direction never raises the likelihood, however small the core of good predictions is. "Deviance" is
-minus twice the log likelihood throughout.
+Residuals are Student-t distributed with DOF degrees of freedom. The scale matrix is always the one of maximum
+likelihood, so a residual that grows in its own direction never raises the likelihood, however small the core
+of good predictions is. "Deviance" is minus twice the log likelihood throughout.
 
 Source: Lange, Little, Taylor 1989, Robust statistical modeling using the t distribution; the scale is
 iterated by Liu, Rubin, Wu 1998, Parameter expansion to accelerate EM.
@@ -19,11 +17,8 @@ import numpy as np
 from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.compiled import kept
 
-DOF = 4.0
-"""Degrees of freedom of the density of residuals: strokes have heavier tails than a normal density."""
-
-CONVERGED = 0.2
-"""A fit has converged where the deviance falls by less."""
+DOF = 4.0  # degrees of freedom of the density of residuals: strokes have heavier tails than a normal density
+CONVERGED = 0.2  # a fit has converged where the deviance falls by less
 
 REWEIGHTINGS_MAX = 20
 """Reweightings of the residuals (iteratively reweighted least squares) at most, for one step."""
@@ -31,8 +26,7 @@ REWEIGHTINGS_MAX = 20
 _SCALE_MIN = (2e-5, 2e-5, 2e-4)
 """Scales (m, m, rad) below which residuals are discretisation error: no scale matrix becomes singular."""
 
-_EM_TOLERANCE = 1e-7
-"""A change of the deviance that ends the iteration of the scale."""
+_EM_TOLERANCE = 1e-7  # a change of the deviance that ends the iteration of the scale
 
 
 def scale_of(residuals: Float64) -> Float64:
@@ -167,11 +161,7 @@ def cross_fitted(
 
 
 def held_out_density(residuals: Float64, test: Bool) -> Float64:
-    """(k,) log density of the k periods held out, by the scale of the others.
-
-    Args:
-        test: (n,) which are held out.
-    """
+    """(k,) log density of the k of n periods that are held out, by the scale of the others."""
     scale = _shrunk(scale_of(residuals[~test]), int((~test).sum()))
     return log_density(residuals[test], scale)
 

@@ -1,11 +1,7 @@
-"""What a search means: errors beside the noise floor, a verdict, intervals.
+"""What a search means: errors beside noise floor and repeatability, log score gain, verdict, intervals.
 
-Three measures stand side by side. The *noise floor* is the error of a perfect model, due to noisy fixes: the
-scatter of fixes in glides, propagated through the Kalman filter. The *repeatability* is the variation between
-strokes in like states. It is estimated from pairs of like periods, in whose difference a misfit of the model
-cancels, and it never raises the floor. The *log score gain* is the rise of the log predictive density of
-held-out runs. A robot whose strokes vary cannot reach the floor with any effect: it is partly explained at
-best.
+See host/docs/pages/explanation/identification.md. A robot whose strokes vary cannot reach the floor with any
+effect: it is partly explained at best.
 """
 
 from __future__ import annotations
@@ -35,11 +31,8 @@ NOTHING, FOUND, PARTLY = "nothing missing", "found", "partly explained"
 FOUND_LAW = "found: law"
 UNEXPLAINED, TOO_LITTLE = "unexplained", "not enough data"
 
-NEAR_FLOOR = 1.35
-"""Errors up to this multiple of the noise floor are noise."""
-
-STILL_S = 1.5 * ACTUATION_S
-"""No limb moves if none has fired for this time."""
+NEAR_FLOOR = 1.35  # errors up to this multiple of the noise floor are noise
+STILL_S = 1.5 * ACTUATION_S  # no limb moves if none has fired for this time
 
 WINDOW_S, WINDOWS_LEAST = 0.45, 12
 """Four fixes of a glide within this time are compared with a parabola; the noise is estimated from at least
@@ -48,8 +41,7 @@ so many such windows."""
 OUTLIER_SIGMA = 3.0
 """Residuals of fixes beyond this many standard deviations are outliers: 0.3 % of a normal density."""
 
-CHANCE = 5.0
-"""A mean square of few periods may exceed its expectation by this many standard deviations."""
+CHANCE = 5.0  # a mean square of few periods may exceed its expectation by this many standard deviations
 
 SURE_NATS = 12.0
 """If strokes fail by chance, a test run has few failures of about ten nats each, so the interval of a mean is
@@ -59,8 +51,7 @@ wide. The gain of the whole run is a likelihood ratio, which chance makes this l
 INEXACT = 0.03
 """Share of the error before that the right effect may leave: the discretisation error of the simulation."""
 
-FAR = 2.0
-"""Multiple of an interval's half width: a true value beyond that is no chance (one in 10,000)."""
+FAR = 2.0  # multiple of an interval's half width: a true value beyond that is no chance (one in 10,000)
 
 
 def prediction_errors(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Float64:
@@ -115,11 +106,8 @@ def _scatter(values: Float64) -> float:
 def noise_floor(swims: Sequence[Segments], fix: tuple[float, float]) -> PredictionError:
     """Error of a perfect model: the uncertainty of the start's pose and rate, and of the end's pose.
 
-    A perfect model needs no process noise. The variation from stroke to stroke is no fault of the fixes and
-    does not count; see ``repeatability``.
-
-    Args:
-        fix: standard deviation of a fix (m, rad); see ``fix_noise``.
+    A perfect model needs no process noise, and the variation from stroke to stroke is no fault of the fixes.
+    ``fix`` is the standard deviation of a fix (m, rad); see ``fix_noise``.
     """
     noise = Noise(fix, (0.0, 0.0), (0.0, 0.0))
     sums, count = np.zeros(3), 0
@@ -212,10 +200,7 @@ def log_score_gain(
 
 
 def discretisation_shift(fitted: Fitted, data: Data) -> Float64:
-    """(p,) shift of the parameters due to discretisation: with steps as short as the simulated pool's.
-
-    The model is at its best, with derivatives by all its parameters.
-    """
+    """(p,) shift of the parameters due to discretisation: with steps as short as the simulated pool's."""
     if not fitted.jacobian.shape[2]:
         return np.empty(0)
     fine = replace(fitted.model, step_s=der.STEP_S, leg_s=LEG_S)
@@ -227,9 +212,7 @@ def discretisation_shift(fitted: Fitted, data: Data) -> Float64:
 def intervals(fitted: Fitted, data: Data, bias: Float64 | None = None) -> list[list[Interval]]:
     """Intervals of each term's parameters: each contains its true value with probability CONFIDENCE.
 
-    Args:
-        fitted: a model at its best, with derivatives by all its parameters.
-        bias: (p,) bias besides chance, see ``discretisation_shift``; None: none.
+    The fit is at its best, with derivatives by all its parameters. ``bias`` (p,) is besides chance.
     """
     from scipy import stats
 
@@ -313,11 +296,9 @@ def scored(
     after: Sequence[Rollout],
     raw: tuple[Sequence[Segments], Sequence[Segments]] | None = None,
 ) -> Scored:
-    """Evaluate both models on runs; replicates with the same noise count once.
+    """Evaluate both models on runs by their rollouts; replicates with the same noise count once.
 
     Args:
-        found: by the search; noise of fixes and spread of predictions are estimated from its training runs.
-        before, after: their rollouts without and with effects.
         raw: the training runs and those to judge as they are, which ``before`` is held against, where fixes
             that jumped were taken out; None if none were.
     """
@@ -335,13 +316,8 @@ def scored(
 
 
 def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
-    """The verdict: effects must help on held-out runs; the remaining error decides the rest.
-
-    ``found``: the interval of the log score gain is above zero on the held-out runs, and the remaining error
-    is noise there and on the training runs. ``partly explained``: the same gain, but more than noise remains.
-    ``found: law``: as ``found``, with a formula that is not in the catalogue. ``nothing missing``: no
-    effects, and no more than noise. ``unexplained``: else. Limbs that misfire by chance are partly explained
-    at best: nobody can predict which stroke fails. There a gain above SURE_NATS counts as well.
+    """The verdict: effects must help on held-out runs; the error that remains, also on the training runs,
+    decides the rest. Limbs that misfire by chance are partly explained at best.
     """
     quiet = trained.quiet and tested.quiet
     if not found.fitted.model.terms:

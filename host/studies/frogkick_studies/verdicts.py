@@ -56,8 +56,7 @@ from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT, Table, enough_of
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.95, OUTSIDE: 0.95, LAWS: 0.8}
 """Share of the cases of a group that must be right."""
 
-MOST_WRONG = {NULL: 0.02, ONE: 0.02, TWO: 0.02, OUTSIDE: 0.02, LAWS: 0.03}
-"""Share that may be wrongly found."""
+MOST_WRONG = {NULL: 0.02, ONE: 0.02, TWO: 0.02, OUTSIDE: 0.02, LAWS: 0.03}  # share that may be wrongly found
 
 GONE, LEAST_GONE = 0.7, 0.85
 """With laws so much of the way from the error before to the floor must be gone, in so many cases."""
@@ -66,12 +65,10 @@ OVER_FLOOR = (2.0, 20.0)
 """Laws are drawn again until the nominal model misses the test run by so many floors, in position, and the
 runs to learn from hold enough of them."""
 
-DRAWS_MOST = 40
-"""The draw after so many others is taken as it is."""
+DRAWS_MOST = 40  # the draw after so many others is taken as it is
 
 TRAIN, TEST = ("sine", "ellipse", "line"), ("bends",)
-MORE = {LAWS: ("circle",)}
-"""Group -> paths to learn from besides: laws have four runs."""
+MORE = {LAWS: ("circle",)}  # group -> paths to learn from besides: laws have four runs
 
 HURRY = 0.5
 """Of the planner's weight of progress so much on the test path: other actions in another order, slower."""

@@ -121,7 +121,7 @@ def experiment_of(
     return _best(open_pairs(found, parameters), found, swims, periods)
 
 
-def law_test(found: Found, swims: Sequence[Segments], periods: int = PERIODS) -> Experiment | None:
+def law_test(found: Found, swims: Sequence[Segments]) -> Experiment | None:
     """The experiment that distinguishes a model best from itself without one of its laws; None without laws.
 
     A formula that was chosen among many is worth a test, even if nothing else is open.
@@ -133,11 +133,11 @@ def law_test(found: Found, swims: Sequence[Segments], periods: int = PERIODS) ->
             terms = (*model.terms[:place], *model.terms[place + 1 :])
             without = replace(model, terms=terms, fixed=frozenset())
             pairs.append(ModelPair((term.title, f"no {term.title}"), (model, without)))
-    return _best(pairs, found, swims, periods)
+    return _best(pairs, found, swims)
 
 
 def _best(
-    pairs: Sequence[ModelPair], found: Found, swims: Sequence[Segments], periods: int
+    pairs: Sequence[ModelPair], found: Found, swims: Sequence[Segments], periods: int = PERIODS
 ) -> Experiment | None:
     """The experiment that discriminates one of the pairs best; None without pairs."""
     white = whitener(found.fitted.residuals)
@@ -205,7 +205,7 @@ def plan(
         reached = [
             sequence
             for sequence in extend(sequences, sides, white, robot)
-            if _is_inside(sequence.shown[-1], pool)
+            if ((sequence.shown[-1][:, :2] >= pool[0]) & (sequence.shown[-1][:, :2] <= pool[1])).all()
         ]
         if not reached:
             break
@@ -216,10 +216,6 @@ def plan(
     return Experiment(
         pair.between, names, at, separation(pair, white, segments_of_sequence(robot, best, start))
     )
-
-
-def _is_inside(shown: Float64, pool: Float64) -> bool:
-    return bool(((shown[:, :2] >= pool[0]) & (shown[:, :2] <= pool[1])).all())
 
 
 def separation(pair: ModelPair, white: Float64, swim: Segments) -> float:

@@ -41,11 +41,6 @@ class Kind:
     shapes: Numbers = field(default_factory=dict)  # all other parameters
     grid: Sequence[Mapping[str, float]] = ({},)  # values of the shapes that are tried
 
-    @property
-    def at_intervals(self) -> bool:
-        """Whether the law acts in a share of each cycle, centred on ``middle``."""
-        return "middle" in self.shapes
-
     @cached_property
     def named(self) -> str:
         """The title of its terms, which includes the limb."""

@@ -65,7 +65,7 @@ class Laws:
         kinds = kinds_of(robot, swims)
         for done, kind in enumerate(kinds):
             progress("laws", done, len(kinds))
-            if kind.at_intervals:
+            if "middle" in kind.shapes:  # of an interval in each cycle
                 bins = [self.columns(kind, {**alone, "middle": float(middle)}) for middle in middles]
                 self._bins.append((kind, _on(kind.grid, middles), np.stack(bins)))
                 continue
@@ -294,7 +294,9 @@ def moment_intervals(fitted: Fitted, data: Data) -> dict[int, tuple[float, float
 
 def _alike(fitted: Fitted, place: int, borders: Float64, data: Data, worse: float) -> tuple[float, float]:
     """Ends (s) of the moments around a law's own at which the deviance is higher by less than ``worse``."""
-    k = _gap(borders, fitted.model.terms[place])
+    term = fitted.model.terms[place]
+    at = term.values[_number(term) or 0]
+    k = int(np.clip(np.searchsorted(borders, at) - 1, 0, len(borders) - 2))
     tried = np.arange(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, len(borders) - 1))
     models = [_with_moment(fitted.model, place, float(borders[each : each + 2].mean())) for each in tried]
     good = set(tried[np.array(deviances_of(models, data)) < fitted.deviance + worse].tolist())
@@ -324,12 +326,6 @@ def _number(term: Term) -> int | None:
     """Index of the parameter that is a law's moment; None without one."""
     names = [parameter.name for parameter in term.parameters]
     return names.index(MOMENT) if term.name == "law" and MOMENT in names else None
-
-
-def _gap(borders: Float64, term: Term) -> int:
-    """Index of the gap between borders that contains a law's moment."""
-    at = term.values[_number(term) or 0]
-    return int(np.clip(np.searchsorted(borders, at) - 1, 0, len(borders) - 2))
 
 
 def _with_moment(model: Model, place: int, at_s: float) -> Model:

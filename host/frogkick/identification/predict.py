@@ -18,7 +18,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.core.poses import body_from_world, rotate, wrap_angle
-from frogkick.der import WIDTH, Batch, Checkpoint, Rods, prepare
+from frogkick.der import WIDTH, Batch, Checkpoint, prepare
 from frogkick.effects import Acting, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
 from frogkick.identification.segments import Segments
@@ -350,12 +350,10 @@ def _camera_fix(effects: Sequence[Effect], time_s: float, pose: Float64) -> tupl
     return 2.0 * time_s - seen.capture_s, np.array([seen.x_m, seen.y_m, heading + turned])
 
 
+_rods = lru_cache(maxsize=64)(prepare)
+
+
 def replay_batch(robot: Robot, pose_world: Float64, step_s: float) -> Batch:
     """Robots at rest at (lanes, 3) poses, to replay runs: with bounded steps."""
     still = np.zeros((len(pose_world), 3))
     return Batch([_rods(robot)] * len(pose_world), pose_world, still, 0.0, step_s, WIDTH, LONGEST_S)
-
-
-@lru_cache(maxsize=64)
-def _rods(robot: Robot) -> Rods:
-    return prepare(robot)

@@ -85,8 +85,10 @@ def sensitivities(
     combined: dict[tuple[int, int], Float64] = {}
     places: list[tuple[int, int]] = []
     bodies: list[tuple[int, int]] = []
-    for index in spread_first(wanted):
-        change, place = wanted[index]
+    # Changes in few situations come first, so that combinations are of simple ones.
+    for change, place in sorted(
+        wanted, key=lambda row: 0 if row[0] is None else int(np.count_nonzero(row[0]))
+    ):
         if change is None:
             bodies.append(place)
             continue
@@ -265,17 +267,12 @@ class Probes:
             responses += [stroke.gain, stroke.delay_s, stroke.duration_scale]
         for body in self.bodies:
             responses += np.ravel(effect.flow(body.time_s, np.array(body.pose_world[:2]))).tolist()
-            responses += _flat(effect.wrench(body.time_s, body))
+            wrench = [np.ravel(part) for part in effect.wrench(body.time_s, body)]  # force may be a pair
+            responses += np.concatenate(wrench).astype(np.float64).tolist()
             given_fix = Fix(body.time_s, 0.08, *body.pose_world)
             fix = effect.fix(given_fix, np.random.default_rng(0)) or given_fix
             responses += [fix.capture_s, fix.x_m, fix.y_m, fix.heading_rad]
         return np.array(responses, dtype=np.float64)
-
-
-def _flat(given: object) -> list[float]:
-    """A wrench, given as three numbers or as a pair and a number."""
-    parts = [np.ravel(np.asarray(part, dtype=np.float64)) for part in given]  # type: ignore[attr-defined]
-    return [float(value) for value in np.concatenate(parts)]
 
 
 def probes_of(robot: Robot) -> Probes:
@@ -334,9 +331,3 @@ class LinearSpan:
     def add(self, change: Float64) -> None:
         """Add a change that is not in the span."""
         self._rows.append(change)
-
-
-def spread_first(items: Sequence[tuple[Float64 | None, object]]) -> list[int]:
-    """Order of simulation: changes in few situations first, so that combinations are of simple ones."""
-    counts = [0 if change is None else int(np.count_nonzero(change)) for change, _ in items]
-    return sorted(range(len(items)), key=lambda index: counts[index])

@@ -189,7 +189,12 @@ class _ForwardSelection:
     ) -> tuple[Fitted | None, list[CandidateScore], list[Fitted], list[Fitted]]:
         """The model with one more effect, or None; all scores; models nearly as good; all fitted models."""
         candidates = self.screen_all(current)
-        least = max(EFFECT_PENALTY, self.chance_gain(current))
+        known = [*(column.jacobian for column in self.columns), *(self.laws.every if self.laws else ())]
+        # What the best candidate would gain by chance, if none were true.
+        by_chance = gain_by_chance(
+            current.residuals, current.jacobian, known, self.data.run, PARAMETER_PENALTY
+        )
+        least = max(EFFECT_PENALTY, by_chance)
         picked: list[Screened] = []
         for candidate in candidates:
             if len(picked) == REFINED or candidate.score < EFFECT_PENALTY / 2.0:
@@ -199,10 +204,10 @@ class _ForwardSelection:
             if all(candidate.column.term.title != other.column.term.title for other in picked):
                 picked.append(candidate)
         tell(f"trying {', '.join(each.column.term.title for each in picked) or 'none'}")
-        known = len(current.model.values)
+        count = len(current.model.values)
         starts = []
         for candidate in picked:
-            fixed = current.model.fixed | {known + k for k in candidate.fixed}
+            fixed = current.model.fixed | {count + k for k in candidate.fixed}
             terms = (*current.model.terms, candidate.column.term.at(candidate.values))
             starts.append(replace(current.model, terms=terms, leg_s=REFINING_LEG_S, fixed=fixed))
         steps, small = REFINING_STEPS_MAX, REFINING_CONVERGED
@@ -242,13 +247,6 @@ class _ForwardSelection:
         good = score > least and fall[0] > max(HELD_OUT_GAIN_MIN, sure * fall[1])
         tried = CandidateScore(candidate.column.term.title, current.deviance - fitted.deviance, fall[0], True)
         return (score if good else -np.inf), fitted, tried
-
-    def chance_gain(self, current: Fitted) -> float:
-        """What the best candidate would gain by chance, if none were true."""
-        candidates = [*(column.jacobian for column in self.columns), *(self.laws.every if self.laws else ())]
-        return gain_by_chance(
-            current.residuals, current.jacobian, candidates, self.data.run, PARAMETER_PENALTY
-        )
 
     def simplest_of(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
         """The simplest of a refined model and the rivals confounded with it, and the others of these.

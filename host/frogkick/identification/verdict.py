@@ -231,13 +231,6 @@ def intervals(fitted: Fitted, data: Data, bias: Float64 | None = None) -> list[l
     return [[interval(k) for k in model.indices(place)] for place in range(len(model.terms))]
 
 
-def within_noise(error: PredictionError, floor: PredictionError, before: PredictionError) -> bool:
-    """Whether an error is within noise and discretisation error."""
-    over = max(NEAR_FLOOR, math.sqrt(1.0 + CHANCE * math.sqrt(2.0 / max(error.count, 1))))
-    pairs = zip(error.pair, floor.pair, before.pair, strict=True)
-    return all(left <= math.hypot(over * noise, INEXACT * plain) for left, noise, plain in pairs)
-
-
 @dataclass(frozen=True, eq=False)
 class Scored:
     """Evaluation of two models on some runs.
@@ -259,8 +252,13 @@ class Scored:
 
     @property
     def quiet(self) -> bool:
-        """Whether the remaining error is within the noise of the fixes."""
-        return not self.after.count or within_noise(self.after, self.noise_floor, self.before)
+        """Whether the remaining error is within the noise of the fixes and the discretisation error."""
+        count = self.after.count
+        over = max(NEAR_FLOOR, math.sqrt(1.0 + CHANCE * math.sqrt(2.0 / max(count, 1))))
+        pairs = zip(self.after.pair, self.noise_floor.pair, self.before.pair, strict=True)
+        return not count or all(
+            left <= math.hypot(over * noise, INEXACT * plain) for left, noise, plain in pairs
+        )
 
     @property
     def helped(self) -> bool:

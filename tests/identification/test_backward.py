@@ -30,7 +30,6 @@ from frogkick.identification.fit import (
     fit,
 )
 from frogkick.identification.law_kinds import kinds_of
-from frogkick.identification.refine import Refiner
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import deviance_of
@@ -60,7 +59,7 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
     data = nominal_fit(late, robot())[0]
     terms = (term("steady_wrench", 1e-4, 0.0, 0.0), term("limb_wear rear_left"), term("fix_latency", 0.1))
     current = fitted_to(data, terms, 0, 3, 6)
-    found, confounded = revise(Refiner(data), current, [[term("fix_latency")], [], []], [[], [], []])
+    found, confounded = revise(data, current, [[term("fix_latency")], [], []], [[], [], []])
     assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
     assert len(confounded) == 2
     assert found.model.terms[0].values[0] == pytest.approx(0.7, abs=0.01)
@@ -79,7 +78,7 @@ def test_a_constant_that_pauses_is_said_as_a_law_at_intervals(delayed_first: boo
     constant = term("fix_latency", 0.12)
     terms = (constant, pauses) if delayed_first else (pauses, constant)
     current = fitted_to(data, terms, 0, 1, 2, 3, 4)
-    found, kept = backward_elimination(Refiner(data), current)
+    found, kept = backward_elimination(data, current)
     assert kept == [terms.index(pauses)]
     values = dict(zip((p.name for p in pauses.parameters), found.model.terms[0].values, strict=True))
     assert values["late"] == pytest.approx(0.12, abs=0.01) and values["share"] == pytest.approx(0.6, abs=0.03)
@@ -106,7 +105,7 @@ def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[S
     rival = fitted_to(data, (term("fix_latency", 0.1),), 0)
     terms = (*taken.model.terms, term("limb_wear rear_left", 0.8, 0.0, 1.0))
     current = fitted_to(data, terms, 1, 3)
-    found, confounded = revise(Refiner(data), current, [[], []], [[taken, rival], []])
+    found, confounded = revise(data, current, [[], []], [[taken, rival], []])
     assert [each.title for each in found.model.terms] == ["fix_latency", "limb_wear rear_left"]
     assert found.model.terms[0].values[0] == pytest.approx(0.12, abs=0.01)
     assert all(each.title == "limb_wear all" for each in confounded[0])
@@ -121,14 +120,14 @@ def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Segment
     limbs = ("rear_left", "rear_right", "front_left", "front_right")
     terms = tuple(term(f"limb_wear {limb}", 0.7 if limb == "rear_left" else 1.0, 0.1, 1.0) for limb in limbs)
     current = fitted_to(data, terms, 0, 1, 4, 7, 10)
-    refiner, none = Refiner(data), [list[Fitted]()] * 4
+    none = [list[Fitted]()] * 4
     every = fitted_to(data, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
-    found, confounded = revise(refiner, current, [[], [], [], []], none, [every, wear, latency])
+    found, confounded = revise(data, current, [[], [], [], []], none, [every, wear, latency])
     assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
     assert confounded[0] == [] and [each.title for each in confounded[1]] in ([], ["limb_wear all"])
     assert found.model.terms[0].values == pytest.approx((0.7, 0.0, 1.0), abs=0.01)
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
-    alone = revise(refiner, current, [[], [], [], []], none)[0]
+    alone = revise(data, current, [[], [], [], []], none)[0]
     assert len(alone.model.terms) > 2
 
 

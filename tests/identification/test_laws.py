@@ -20,7 +20,7 @@ from frogkick.identification.fit import derivatives, fit
 from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.laws import Laws, centred, moment_intervals
 from frogkick.identification.outcome import found_toml, identify
-from frogkick.identification.refine import Refiner
+from frogkick.identification.refine import refined
 from frogkick.identification.responses import responses_of
 from frogkick.identification.screening import bent_gain
 from frogkick.identification.search import (
@@ -185,11 +185,10 @@ def test_laws_are_moved_beside_each_other(
     laws = Laws(responses_of(nominal, data), swims, robot())
     kinds = {kind.named: kind for kind in kinds_of(robot(), swims)}
     pulls, breaks = kinds["spring"].term(cable), kinds["stroke from a moment on rear_left"].term(moment)
-    refiner = Refiner(data)
-    placed = refiner.refined(fit(replace(nominal.model, terms=(pulls, breaks)), data))
+    placed = refined(fit(replace(nominal.model, terms=(pulls, breaks)), data), data)
     selection = _ForwardSelection(data, [], laws)
     told: list[str] = []
-    moved = selection.relocated(placed, refiner, told.append)
+    moved = selection.relocated(placed, told.append)
     assert moved.deviance < placed.deviance - 100.0 and told[0].startswith("moving spring")
     assert [each.title for each in moved.model.terms] == [pulls.title, breaks.title]
     values = {

@@ -25,7 +25,7 @@ from frogkick.identification.fit import (
     residuals_of,
     rollouts_of,
 )
-from frogkick.identification.refine import Refiner
+from frogkick.identification.refine import noise_reestimated, refined, with_fewer_free
 from frogkick.identification.screening import held_out_gain
 from frogkick.identification.search import (
     Found,
@@ -46,10 +46,10 @@ def worn() -> list[Segments]:
     return [make_swim([planted], seed, 14) for seed in (1, 2)]
 
 
-def refiner(swims: list[Segments]) -> Refiner:
+def data_of(swims: list[Segments]) -> Data:
     (rollouts,) = rollouts_of([Model(robot(), (), NOISE)], swims)
     rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)
-    return Refiner(Data(swims, rows))
+    return Data(swims, rows)
 
 
 @from_ci
@@ -82,7 +82,7 @@ def test_a_step_explains_what_few_periods_show() -> None:
 
 def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
     model = Model(robot(), (term("limb_wear rear_left"),), NOISE, fixed=frozenset({1, 2}))
-    data = refiner(worn).data
+    data = data_of(worn)
     (fitted,) = fit_many([model], data, 4)
     assert fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
     assert not fitted.jacobian[:, :, 1:].any()
@@ -94,7 +94,7 @@ def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
 def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> None:
     """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
     model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, fixed=frozenset({1, 2}))
-    data = refiner(worn).data
+    data = data_of(worn)
     (right,) = derivatives([model], data, fixed=False)
     stale = replace(right, jacobian=right.jacobian / 3.0, fresh=False)
     (fitted,) = fit_on([stale], data, 6)
@@ -110,12 +110,12 @@ def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> No
 @from_ci
 def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Segments]) -> None:
     """Frames swing at 40 Hz: half a swing late fits as well as derivatives can tell."""
-    searching = refiner(worn)
+    data = data_of(worn)
     dip = Model(robot(), (term("limb_wear rear_left").at((0.71, 0.0125, 1.0)),), NOISE, fixed=frozenset({2}))
-    (taken,) = fit_many([dip], searching.data, 1)
-    refined = searching.refined(taken)
-    assert refined.model.values[1] == 0.0
-    (row,) = intervals(refined, searching.data)
+    (taken,) = fit_many([dip], data, 1)
+    fine = refined(taken, data)
+    assert fine.model.values[1] == 0.0
+    (row,) = intervals(fine, data)
     assert row[0].low <= 0.7 <= row[0].high and row[0].high - row[0].low < 0.05
 
 
@@ -213,7 +213,7 @@ def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Seg
 
     By the right effect and by a wrong one: a search that flattered itself would do so with it.
     """
-    data = refiner(worn).data
+    data = data_of(worn)
     folds = data.folds
     start = Model(robot(), (term(title),), NOISE)
     (current,) = derivatives([replace(start, terms=())], data)
@@ -244,24 +244,22 @@ def test_a_rival_is_not_judged_in_a_dip() -> None:
     worn = {"name": "limb_wear", "limb": "front_left", "gain": 0.88}
     swims = [make_swim([worn, {"name": "fix_latency", "delay_s": 0.062}], seed, 14) for seed in (1, 2)]
     limb, every, fixes = (term(name) for name in ("limb_wear front_left", "limb_wear all", "fix_latency"))
-    begun = refiner(swims)
+    data = data_of(swims)
     late = (limb.at((0.882, 0.003, 1.0)), every.at((1.0, 0.0625, 1.0)))
     dip = (limb.at((0.8817, 0.0457, 1.0)), fixes.at((0.0562,)))
     fixed = frozenset({2, 3, 5})
-    (taken,) = fit_many([Model(robot(), late, NOISE, fixed=fixed)], begun.data, 6)
-    (rival,) = derivatives([Model(robot(), dip, NOISE, fixed=frozenset({2}))], begun.data)
-    selection = _ForwardSelection(begun.data, [])
-    settled, alike = selection.simplest_of(begun.noise_reestimated(taken), [rival])
+    (taken,) = fit_many([Model(robot(), late, NOISE, fixed=fixed)], data, 6)
+    (rival,) = derivatives([Model(robot(), dip, NOISE, fixed=frozenset({2}))], data)
+    selection = _ForwardSelection(data, [])
+    settled, alike = selection.simplest_of(noise_reestimated(taken, data), [rival])
     assert [each.title for each in settled.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [each.title for each in alike] == ["limb_wear all"]
     assert settled.model.values[-1] == pytest.approx(0.062, abs=0.006)
     # And where the rival was never tried; not where the limbs are weaker as well.
-    named, alike = resolve_equivalent(begun, begun.noise_reestimated(taken), [[], []], [limb, every, fixes])
+    named, alike = resolve_equivalent(data, noise_reestimated(taken, data), [[], []], [limb, every, fixes])
     assert [each.title for each in named.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [[each.title for each in others] for others in alike] == [[], ["limb_wear all"]]
-    assert resolve_equivalent(begun, taken, [[], []], [limb, every])[0] is taken, (
-        "nobody looks for late fixes"
-    )
+    assert resolve_equivalent(data, taken, [[], []], [limb, every])[0] is taken, "nobody looks for late fixes"
 
 
 @from_ci
@@ -274,14 +272,14 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
     """
     worn = {"name": "limb_wear", "limb": "front_left", "gain": 0.76}
     swims = [make_swim([worn, {"name": "fix_latency", "delay_s": 0.091}], seed, 14) for seed in (1, 2)]
-    begun = refiner(swims)
+    data = data_of(swims)
     dip = (term("limb_wear front_left").at((0.76, 0.06, 1.0)), term("fix_latency").at((0.083,)))
     quiet = Noise(NOISE.fix, (8e-6, 2e-4), (8e-6, 2e-4))
     # Whether a fit stops in a dip hangs on last digits, so the delay is held there while the others settle.
-    (settled,) = fit_many([Model(robot(), dip, quiet, fixed=frozenset({1, 2}))], begun.data, 6)
-    (taken,) = derivatives([replace(settled.model, fixed=frozenset({2}))], begun.data)
+    (settled,) = fit_many([Model(robot(), dip, quiet, fixed=frozenset({1, 2}))], data, 6)
+    (taken,) = derivatives([replace(settled.model, fixed=frozenset({2}))], data)
     steep = replace(taken, jacobian=taken.jacobian * np.array([1.0, 8.0, 1.0, 1.0]))
-    spared = begun.pruned(steep)
+    spared = with_fewer_free(steep, data)
     assert spared.model.values[1] == 0.0 and spared.deviance < taken.deviance
 
 
@@ -290,8 +288,8 @@ def test_limbs_that_are_late_and_weak_are_no_late_fixes() -> None:
     weak = {"name": "limb_wear", "limb": "all", "gain": 0.8, "delay_s": 0.06}
     swims = [make_swim([weak], seed, 14) for seed in (1, 2)]
     every, fixes = term("limb_wear all"), term("fix_latency")
-    begun = refiner(swims)
+    data = data_of(swims)
     model = Model(robot(), (every.at((0.8, 0.06, 1.0)),), NOISE, fixed=frozenset({2}))
-    (taken,) = fit_many([model], begun.data, 6)
-    named, alike = resolve_equivalent(begun, taken, [[]], [every, fixes])
+    (taken,) = fit_many([model], data, 6)
+    named, alike = resolve_equivalent(data, taken, [[]], [every, fixes])
     assert named is taken and alike == [[]]

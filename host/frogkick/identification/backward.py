@@ -21,7 +21,7 @@ from frogkick.identification.fit import (
     fit_many,
     step_bounds,
 )
-from frogkick.identification.refine import STEPS_MAX, Refiner
+from frogkick.identification.refine import STEPS_MAX, refined, simpler_model, with_fewer_free
 from frogkick.identification.segments import Data
 from frogkick.identification.steps import cross_fitted, linearised_optimum
 from frogkick.identification.terms import Term
@@ -40,7 +40,7 @@ FAR_OFF = 300.0
 
 
 def revise(
-    refiner: Refiner,
+    data: Data,
     current: Fitted,
     confounded: Sequence[list[Term]],
     runners_up: Sequence[Sequence[Fitted]],
@@ -59,18 +59,18 @@ def revise(
     found = [list(others) for others in confounded]
     for place in range(len(found) - 1):  # the last term was chosen beside all others
         near = [each.model.terms[-1] for each in runners_up[place]]
-        current, found[place] = swap_step(refiner, current, place, near)
-    current, kept = backward_elimination(refiner, current)
-    current = refiner.pruned(current, whole=True)
+        current, found[place] = swap_step(data, current, place, near)
+    current, kept = backward_elimination(data, current)
+    current = with_fewer_free(current, data, whole=True)
     found = [found[place] for place in kept]
-    if len(kept) > 2 and (pair := _pair(refiner, current, single_effect_fits)) is not None:
-        current, kept = backward_elimination(refiner, pair[0])
-        current, found = refiner.pruned(current, whole=True), [pair[1][place] for place in kept]
+    if len(kept) > 2 and (pair := _pair(data, current, single_effect_fits)) is not None:
+        current, kept = backward_elimination(data, pair[0])
+        current, found = with_fewer_free(current, data, whole=True), [pair[1][place] for place in kept]
     return current, found
 
 
 def _pair(
-    refiner: Refiner, current: Fitted, single_effect_fits: Sequence[Fitted]
+    data: Data, current: Fitted, single_effect_fits: Sequence[Fitted]
 ) -> tuple[Fitted, list[list[Term]]] | None:
     """Two of the best single effects that do as well as a model's several terms; None if no two do.
 
@@ -84,13 +84,13 @@ def _pair(
         both = replace(both, leg_s=both.fine_leg_s)
         # Alone, the delay of a worn limb takes up the influence of the other effect.
         starts += [both] if (plain := _with_grid_at_nominal(both)) is both else [both, plain]
-    fits = fit_many(starts, refiner.data, STEPS_MAX) if starts else []
-    good = [each for each in equally_good(fits, refiner.data) if each.deviance < current.deviance + FAR_OFF]
+    fits = fit_many(starts, data, STEPS_MAX) if starts else []
+    good = [each for each in equally_good(fits, data) if each.deviance < current.deviance + FAR_OFF]
     if not good:
         return None
     first, *rest = good
-    best = refiner.refined(first)
-    if _total_penalised_deviance(refiner, best) >= _total_penalised_deviance(refiner, current):
+    best = refined(first, data)
+    if _total_penalised_deviance(data, best) >= _total_penalised_deviance(data, current):
         return None
     mine = [term.title for term in best.model.terms]
     others = [{term.title: term for term in each.model.terms} for each in rest]
@@ -126,16 +126,14 @@ def _with_grid_at_nominal(model: Model) -> Model:
     return replace(model.with_values(values), fixed=model.fixed | back) if back else model
 
 
-def _total_penalised_deviance(refiner: Refiner, fitted: Fitted) -> float:
+def _total_penalised_deviance(data: Data, fitted: Fitted) -> float:
     """Deviance plus the penalties of effects and free parameters."""
     effects = EFFECT_PENALTY * len(fitted.model.terms)
-    return fitted.deviance + refiner.data.replicate_count * (
-        effects + PARAMETER_PENALTY * fitted.model.free_count
-    )
+    return fitted.deviance + data.replicate_count * (effects + PARAMETER_PENALTY * fitted.model.free_count)
 
 
 def resolve_equivalent(
-    refiner: Refiner, current: Fitted, confounded: Sequence[list[Term]], candidates: Sequence[Term]
+    data: Data, current: Fitted, confounded: Sequence[list[Term]], candidates: Sequence[Term]
 ) -> tuple[Fitted, list[list[Term]]]:
     """The model with the simpler of two equivalent effects (EQUIVALENT), where it has either.
 
@@ -150,13 +148,13 @@ def resolve_equivalent(
             continue
         late_s = term.values[[p.name for p in term.parameters].index("delay_s")]
         values = [late_s if p.name == "delay_s" else p.nominal for p in other.parameters]
-        current, rivals = swap_step(refiner, current, place, [other.at(values)], EQUIVALENT_MARGIN)
+        current, rivals = swap_step(data, current, place, [other.at(values)], EQUIVALENT_MARGIN)
         found[place] += rivals
     return current, found
 
 
 def swap_step(
-    refiner: Refiner, current: Fitted, place: int, rivals: Sequence[Term], margin: float = CONFOUNDED_MARGIN
+    data: Data, current: Fitted, place: int, rivals: Sequence[Term], margin: float = CONFOUNDED_MARGIN
 ) -> tuple[Fitted, list[Term]]:
     """Swap step: the best of some terms in one place, and those that are confounded with it."""
     taken = {term.title for term in current.model.terms}
@@ -164,12 +162,12 @@ def swap_step(
     if not others:
         return current, []
     starts = [current.model.with_term_at(place, term) for term in others.values()]
-    fits = fit_many(starts, refiner.data, STEPS_MAX)
-    first, *rest = equally_good([current, *fits], refiner.data, margin)
-    return (first if first is current else refiner.refined(first), [each.model.terms[place] for each in rest])
+    fits = fit_many(starts, data, STEPS_MAX)
+    first, *rest = equally_good([current, *fits], data, margin)
+    return (first if first is current else refined(first, data), [each.model.terms[place] for each in rest])
 
 
-def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list[int]]:
+def backward_elimination(data: Data, fitted: Fitted) -> tuple[Fitted, list[int]]:
     """Backward elimination: the model without superfluous terms, and which ones remain.
 
     A law at intervals beside a constant may stand for the constant in all other times: without the constant
@@ -185,12 +183,12 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
                 freed = fitted.model.free_count - each[0].free_count
                 places.append(place)
                 tries.append(each)
-                saved.append(refiner.data.replicate_count * (EFFECT_PENALTY + PARAMETER_PENALTY * freed))
-        simpler = refiner.simpler(fitted, tries, saved, FAR_OFF)
+                saved.append(data.replicate_count * (EFFECT_PENALTY + PARAMETER_PENALTY * freed))
+        simpler = simpler_model(fitted, tries, saved, FAR_OFF, data)
         if simpler is None:
             break
         kept.pop(places[simpler[1]])
-        fitted = refiner.refined(simpler[0])
+        fitted = refined(simpler[0], data)
     return fitted, kept
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,121 +53,121 @@ def best_noise(model: Model, data: Data) -> Fitted:
     return min((Fitted.of(*pair, data) for pair in pairs), key=lambda each: each.deviance)
 
 
-@dataclass(frozen=True, eq=False)
-class Refiner:
-    """Refines models of the same runs."""
+def refined(taken: Fitted, data: Data) -> Fitted:
+    """A model fitted finely, at its own noise, with no more free parameters than help."""
+    leg_s = taken.model.fine_leg_s
+    if leg_s != taken.model.leg_s:
+        (taken,) = evaluate([replace(taken.model, leg_s=leg_s)], [taken.jacobian], data)
+    (fitted,) = fit_on([taken], data, STEPS_MAX)
+    # Only now are the residuals more noise than misfit.
+    fitted = noise_reestimated(fitted, data)
+    while (wider := with_free_parameter(fitted, data)) is not None:
+        fitted = noise_reestimated(wider, data)
+    return with_fewer_free(fitted, data)
 
-    data: Data
 
-    def refined(self, taken: Fitted) -> Fitted:
-        """A model fitted finely, at its own noise, with no more free parameters than help."""
-        leg_s = taken.model.fine_leg_s
-        if leg_s != taken.model.leg_s:
-            (taken,) = evaluate([replace(taken.model, leg_s=leg_s)], [taken.jacobian], self.data)
-        (fitted,) = fit_on([taken], self.data, STEPS_MAX)
-        # Only now are the residuals more noise than misfit.
-        fitted = self.noise_reestimated(fitted)
-        while (wider := self.with_free_parameter(fitted)) is not None:
-            fitted = self.noise_reestimated(wider)
-        return self.pruned(fitted)
+def noise_reestimated(fitted: Fitted, data: Data) -> Fitted:
+    """Re-estimate the noise of a model and fit it once more."""
+    model = replace(fitted.model, leg_s=fitted.model.fine_leg_s)
+    quiet = best_noise(reestimated_noise(model, fitted.rollouts, data.swims), data)
+    quiet = replace(quiet, jacobian=fitted.jacobian, fresh=False)
+    if any(each.grid for k, each in enumerate(model.parameters) if k not in model.fixed):
+        (quiet,) = refresh_jacobian([quiet], data, fixed=False)  # minima are narrow
+    return fit_on([quiet], data, STEPS_MAX)[0]
 
-    def noise_reestimated(self, fitted: Fitted) -> Fitted:
-        """Re-estimate the noise of a model and fit it once more."""
-        model = replace(fitted.model, leg_s=fitted.model.fine_leg_s)
-        quiet = best_noise(reestimated_noise(model, fitted.rollouts, self.data.swims), self.data)
-        quiet = replace(quiet, jacobian=fitted.jacobian, fresh=False)
-        if any(each.grid for k, each in enumerate(model.parameters) if k not in model.fixed):
-            (quiet,) = refresh_jacobian([quiet], self.data, fixed=False)  # minima are narrow
-        return fit_on([quiet], self.data, STEPS_MAX)[0]
 
-    def with_free_parameter(self, fitted: Fitted) -> Fitted | None:
-        """The model with one more free parameter; None where none helps."""
-        (whole,) = refresh_jacobian([fitted], self.data)
-        model, tries = whole.model, list[tuple[float, Model]]()
-        for k in sorted(model.fixed):
-            freed = replace(model, fixed=model.fixed - {k})
-            step, deviance = linearised_optimum(
-                whole.residuals, whole.jacobian, *step_bounds(freed), _damping(whole)
-            )
-            tries.append((deviance + self.release_penalty(whole, k), freed.with_values(model.values + step)))
-        tries += self.far(whole)
-        if not tries:
-            return None
-        deviance, model = min(tries, key=lambda row: row[0])
-        if deviance > fitted.deviance:
-            return None
-        wider = fit(model, self.data, steps_max=2)
-        released = whole.model.fixed - model.fixed
-        penalty = max((self.release_penalty(wider, k) for k in released), default=0.0)
-        return wider if wider.deviance < fitted.deviance - penalty else None
+def with_free_parameter(fitted: Fitted, data: Data) -> Fitted | None:
+    """The model with one more free parameter; None where none helps."""
+    (whole,) = refresh_jacobian([fitted], data)
+    model, tries = whole.model, list[tuple[float, Model]]()
+    for k in sorted(model.fixed):
+        freed = replace(model, fixed=model.fixed - {k})
+        step, deviance = linearised_optimum(
+            whole.residuals, whole.jacobian, *step_bounds(freed), _damping(whole)
+        )
+        tries.append((deviance + release_penalty(whole, k, data), freed.with_values(model.values + step)))
+    tries += far(whole, data)
+    if not tries:
+        return None
+    deviance, model = min(tries, key=lambda row: row[0])
+    if deviance > fitted.deviance:
+        return None
+    wider = fit(model, data, steps_max=2)
+    released = whole.model.fixed - model.fixed
+    penalty = max((release_penalty(wider, k, data) for k in released), default=0.0)
+    return wider if wider.deviance < fitted.deviance - penalty else None
 
-    def release_penalty(self, fitted: Fitted, k: int) -> float:
-        """By how much the deviance must fall to release a parameter: more where periods are few."""
-        count, known = fitted.residuals.shape
-        few = count / max(count - known - len(fitted.model.values), 1)
-        hold = RELEASE_PENALTY + (GRID_PENALTY if fitted.model.parameters[k].grid else 0.0)
-        return float(self.data.replicate_count * min(few, FEW_PERIODS_MAX) * hold)
 
-    def far(self, fitted: Fitted) -> list[tuple[float, Model]]:
-        """Deviances of the grid values of parameters, simulated, while the model still misfits."""
-        model, tries, penalties = fitted.model, list[Model](), list[float]()
-        if all(own < misfit for own, misfit in zip(model.noise.actuated, NOISE_OF_MISFIT, strict=True)):
-            return []
-        for k, parameter in enumerate(model.parameters):
-            freed = replace(model, fixed=model.fixed - {k})
-            for value in parameter.grid:
-                there = model.values
-                there[k] = value
-                tries.append(freed.with_values(there))
-                penalties.append(self.release_penalty(fitted, k) if k in model.fixed else 0.0)
-        deviances = deviances_of(tries, self.data)
-        return [(own + more, each) for own, more, each in zip(deviances, penalties, tries, strict=True)]
+def release_penalty(fitted: Fitted, k: int, data: Data) -> float:
+    """By how much the deviance must fall to release a parameter: more where periods are few."""
+    count, known = fitted.residuals.shape
+    few = count / max(count - known - len(fitted.model.values), 1)
+    hold = RELEASE_PENALTY + (GRID_PENALTY if fitted.model.parameters[k].grid else 0.0)
+    return float(data.replicate_count * min(few, FEW_PERIODS_MAX) * hold)
 
-    def pruned(self, fitted: Fitted, whole: bool = False) -> Fitted:
-        """Prune free parameters of the last term, or of all: fix them at nominal if that is no worse.
 
-        It is simulated and not judged by derivatives: the influence of a stroke's delay ripples with the
-        frame's oscillation. Such a parameter (one with a grid) is tried in every term: the next effect would
-        take up what its local minimum leaves.
-        """
-        while True:
-            model, back = fitted.model, list[int]()
-            for place in range(len(model.terms)):
-                free = [k for k in model.indices(place) if k not in model.fixed]
-                if len(free) > 1:
-                    every_one = whole or place == len(model.terms) - 1
-                    back += [k for k in free if every_one or model.parameters[k].grid]
-            if not back:
-                return fitted
-            tries = [(with_nominal(fitted, k), fitted.jacobian) for k in back]
-            saved = [self.release_penalty(fitted, k) for k in back]
-            simpler = self.simpler(fitted, tries, saved, REFIT_MARGIN)
-            if simpler is None:
-                return fitted
-            fitted, _ = simpler
+def far(fitted: Fitted, data: Data) -> list[tuple[float, Model]]:
+    """Deviances of the grid values of parameters, simulated, while the model still misfits."""
+    model, tries, penalties = fitted.model, list[Model](), list[float]()
+    if all(own < misfit for own, misfit in zip(model.noise.actuated, NOISE_OF_MISFIT, strict=True)):
+        return []
+    for k, parameter in enumerate(model.parameters):
+        freed = replace(model, fixed=model.fixed - {k})
+        for value in parameter.grid:
+            there = model.values
+            there[k] = value
+            tries.append(freed.with_values(there))
+            penalties.append(release_penalty(fitted, k, data) if k in model.fixed else 0.0)
+    deviances = deviances_of(tries, data)
+    return [(own + more, each) for own, more, each in zip(deviances, penalties, tries, strict=True)]
 
-    def simpler(
-        self,
-        fitted: Fitted,
-        tries: Sequence[tuple[Model, Float64]],
-        saved: Sequence[float],
-        margin: float,
-    ) -> tuple[Fitted, int] | None:
-        """The best of some simpler models, fitted, and its index; None if all lose more than they save.
 
-        Args:
-            tries: the models, with Jacobians of a nearby point.
-            saved: penalties that each saves.
-            margin: a model that is worse by more before its fit is not fitted.
-        """
-        starts = evaluate([model for model, _ in tries], [jacobian for _, jacobian in tries], self.data)
-        near = [k for k, each in enumerate(starts) if each.deviance < fitted.deviance + margin]
-        fits = fit_on([starts[k] for k in near], self.data, 2)
-        dearer = [each.deviance - fitted.deviance - saved[k] for k, each in zip(near, fits, strict=True)]
-        if min(dearer, default=0.0) >= 0.0:
-            return None
-        best = int(np.argmin(dearer))
-        return fits[best], near[best]
+def with_fewer_free(fitted: Fitted, data: Data, whole: bool = False) -> Fitted:
+    """Prune free parameters of the last term, or of all: fix them at nominal if that is no worse.
+
+    It is simulated and not judged by derivatives: the influence of a stroke's delay ripples with the
+    frame's oscillation. Such a parameter (one with a grid) is tried in every term: the next effect would
+    take up what its local minimum leaves.
+    """
+    while True:
+        model, back = fitted.model, list[int]()
+        for place in range(len(model.terms)):
+            free = [k for k in model.indices(place) if k not in model.fixed]
+            if len(free) > 1:
+                every_one = whole or place == len(model.terms) - 1
+                back += [k for k in free if every_one or model.parameters[k].grid]
+        if not back:
+            return fitted
+        tries = [(with_nominal(fitted, k), fitted.jacobian) for k in back]
+        saved = [release_penalty(fitted, k, data) for k in back]
+        simpler = simpler_model(fitted, tries, saved, REFIT_MARGIN, data)
+        if simpler is None:
+            return fitted
+        fitted, _ = simpler
+
+
+def simpler_model(
+    fitted: Fitted,
+    tries: Sequence[tuple[Model, Float64]],
+    saved: Sequence[float],
+    margin: float,
+    data: Data,
+) -> tuple[Fitted, int] | None:
+    """The best of some simpler models, fitted, and its index; None if all lose more than they save.
+
+    Args:
+        tries: the models, with Jacobians of a nearby point.
+        saved: penalties that each saves.
+        margin: a model that is worse by more before its fit is not fitted.
+    """
+    starts = evaluate([model for model, _ in tries], [jacobian for _, jacobian in tries], data)
+    near = [k for k, each in enumerate(starts) if each.deviance < fitted.deviance + margin]
+    fits = fit_on([starts[k] for k in near], data, 2)
+    dearer = [each.deviance - fitted.deviance - saved[k] for k, each in zip(near, fits, strict=True)]
+    if min(dearer, default=0.0) >= 0.0:
+        return None
+    best = int(np.argmin(dearer))
+    return fits[best], near[best]
 
 
 def _damping(fitted: Fitted) -> Float64:

@@ -37,7 +37,7 @@ from frogkick.identification.fit import (
     rollouts_of,
 )
 from frogkick.identification.laws import Laws, centred
-from frogkick.identification.refine import NOISE_OF_MISFIT, REFIT_MARGIN, STEPS_MAX, Refiner, best_noise
+from frogkick.identification.refine import NOISE_OF_MISFIT, REFIT_MARGIN, STEPS_MAX, best_noise, refined
 from frogkick.identification.screening import (
     Column,
     Screened,
@@ -142,7 +142,7 @@ def search(
     """
     if columns is None:
         columns = sensitivities(nominal.model, candidates, data, partial(progress, "candidates"))
-    selection, refiner = _ForwardSelection(data, columns, laws), Refiner(data)
+    selection = _ForwardSelection(data, columns, laws)
     current, iterations = nominal, list[list[CandidateScore]]()
     confounded, runners_up, single_effect_fits = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
     for iteration in range(most):
@@ -151,11 +151,11 @@ def search(
         single_effect_fits = single_effect_fits or fits
         if taken is not None:
             tell(f"refining {taken.model.terms[-1].title}")
-            refined = refiner.refined(taken)
-            current, others = selection.simplest_of(refined, rivals)
-            if current is not refined:
-                current = refiner.refined(current)
-            current = selection.relocated(current, refiner, tell)
+            fine = refined(taken, data)
+            current, others = selection.simplest_of(fine, rivals)
+            if current is not fine:
+                current = refined(current, data)
+            current = selection.relocated(current, tell)
             title = current.model.terms[-1].title
             tried = [replace(each, chosen=each.title == title) for each in tried]
             confounded.append(others)
@@ -164,8 +164,8 @@ def search(
         if taken is None or (most < MOST and _left(nominal, current) > UNEXPLAINED_MAX):
             break
     if len(current.model.terms) > 1:
-        current, confounded = revise(refiner, current, confounded, runners_up, single_effect_fits)
-    current, confounded = resolve_equivalent(refiner, current, confounded, candidates)
+        current, confounded = revise(data, current, confounded, runners_up, single_effect_fits)
+    current, confounded = resolve_equivalent(data, current, confounded, candidates)
     (current,) = refresh_jacobian([centred(current, data)], data)  # with all parameters
     progress("effects", most, most)
     confounded_with = [[term.title for term in others] for others in confounded]
@@ -275,7 +275,7 @@ class _ForwardSelection:
         )
         return first, [each.model.terms[-1] for each in rest]
 
-    def relocated(self, current: Fitted, refiner: Refiner, tell: Callable[[str], None]) -> Fitted:
+    def relocated(self, current: Fitted, tell: Callable[[str], None]) -> Fitted:
         """The model with each earlier law where it is best beside the effects that came later.
 
         The first law was placed while the others were missing, and a fit does not leave a local minimum.
@@ -314,7 +314,7 @@ class _ForwardSelection:
                 break
             # The others were placed beside a law that stood elsewhere.
             _, resting, fitted = min(better, key=lambda row: row[0])
-            current = refiner.refined(fitted)
+            current = refined(fitted, self.data)
         return current
 
     def elsewhere(self, current: Fitted, place: int) -> list[Model]:

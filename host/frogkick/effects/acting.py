@@ -117,8 +117,8 @@ class Acting:
         stroke.duration_scale = min(10.0, max(0.1, stroke.duration_scale))
         return stroke
 
-    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
-        """Start a stroke of a lane's limb, with the effects.
+    def fire(self, batch: Batch, lane: int, limb: int, time_s: float, own: int | None = None) -> None:
+        """Start a stroke of a lane's limb, with the effects; ``own`` is the lane here, if another one.
 
         Raises:
             InputError: see ``stroke``.
@@ -128,16 +128,16 @@ class Acting:
             return
         asks = self.asks_body
         body = body_at(time_s, batch.pose_world()[lane], batch.velocity_body()[lane]) if asks else None
-        stroke = self.stroke(lane, limb, time_s, body)
+        stroke = self.stroke(lane if own is None else own, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         batch.fire(lane, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
-    def fire_all(self, batch: Batch, lane: int, program: Program) -> None:
-        """Start all strokes of a lane's program, in their order."""
+    def fire_all(self, batch: Batch, lane: int, program: Program, own: int | None = None) -> None:
+        """Start all strokes of a lane's program, in their order; for ``own`` see ``fire``."""
         for time_s, mask in program:
             for limb in range(batch.limbs):
                 if mask >> limb & 1:
-                    self.fire(batch, lane, limb, time_s)
+                    self.fire(batch, lane, limb, time_s, own)
 
     def advance(
         self, batch: Batch, until_s: float | Float64, trace: bool = False

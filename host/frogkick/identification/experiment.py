@@ -19,7 +19,8 @@ import numpy as np
 
 from frogkick.core.arrays import Float64
 from frogkick.der import WIDTH, Checkpoint
-from frogkick.effects import Acting, Effect, Fix, Law, body_at, changed_robot
+from frogkick.effects import Acting, Fix, Law, changed_robot
+from frogkick.effects.acting import program_of
 from frogkick.identification.fit import CONFOUNDED_MARGIN, Model, residuals_of, rollouts_of
 from frogkick.identification.predict import CLIP_SIGMA, PHASES, interpolated, phase_residuals, replay_batch
 from frogkick.identification.refine import fixed_at
@@ -256,7 +257,7 @@ class Side:
     def __init__(self, model: Model) -> None:
         self.effects = model.effects
         self.robot = changed_robot(model.robot, self.effects)
-        self.camera_effects = [effect for effect in self.effects if type(effect).fix is not Effect.fix]
+        self.camera_effects = [effect for effect in self.effects if effect.overrides("fix")]
         self._leg_s = model.leg_s
 
     def at_rest(self, shown: Float64) -> RobotState:
@@ -280,11 +281,8 @@ class Side:
         for lane, (robot, action) in enumerate(given):
             batch.restore(lane, robot.checkpoint)
             actings.append(robot.acting.copy())
-            for at_s, limb in strokes_of(self.robot, action, start_s):
-                row = batch.motion_world()[lane]
-                stroke = actings[-1].stroke(0, limb, at_s, body_at(at_s, row[:3], row[3:6]))
-                later_s, slower = at_s + stroke.delay_s, stroke.duration_scale
-                batch.fire(lane, limb, later_s, gain=stroke.gain, duration_scale=slower)
+            program = program_of(self.robot, self.robot.actions[action], start_s)
+            actings[-1].fire_all(batch, lane, program, 0)
         leg_s = actings[0].leg_s
         legs = 1 if math.isinf(leg_s) else max(1, round(period_s / leg_s))
         parts: list[list[tuple[Float64, Float64]]] = [[] for _ in given]
@@ -336,13 +334,6 @@ class Side:
         return np.array([fix.capture_s, fix.x_m, fix.y_m, heading + turned])
 
 
-def strokes_of(robot: Robot, action: int, start_s: float) -> list[tuple[float, int]]:
-    """(time_s, limb) of an action, in order."""
-    chosen = robot.actions[action]
-    pairs = ((start_s, chosen.first_mask), (start_s + robot.second_delay_s, chosen.second_mask))
-    return [(at_s, limb) for at_s, mask in pairs for limb in range(len(robot.limbs)) if mask >> limb & 1]
-
-
 def _instants(start_s: float, period_s: float) -> Float64:
     """Capture times in a period."""
     count = max(len(PHASES), round(period_s / CAMERA_S))
@@ -385,9 +376,11 @@ def segments_of_sequence(robot: Robot, sequence: ActionSequence, start: Float64)
     time_s = np.concatenate([before_s, *(_instants(float(at_s), robot.period_s) for at_s in start_s)])
     pose = np.concatenate([np.tile(start, (len(before_s), 1)), *sequence.shown])
     strokes = [
-        each
+        (fired_s, limb)
         for at_s, action in zip(start_s.tolist(), sequence.actions, strict=True)
-        for each in strokes_of(robot, action, at_s)
+        for fired_s, mask in program_of(robot, robot.actions[action], at_s)
+        for limb in range(len(robot.limbs))
+        if mask >> limb & 1
     ]
     return Segments(
         name="planned",

@@ -125,7 +125,7 @@ class Model:
         effects = [term.effect() for term in self.terms]
         if any(effect.stiff for effect in effects):
             return LEG_S
-        pushes = any(type(effect).wrench is not Effect.wrench for effect in effects)
+        pushes = any(effect.overrides("wrench") for effect in effects)
         return WRENCH_LEG_S if pushes else REFINING_LEG_S
 
 

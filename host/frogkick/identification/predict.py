@@ -19,7 +19,7 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.poses import body_from_world, rotate, wrap_angle
 from frogkick.der import WIDTH, Batch, Checkpoint, prepare
-from frogkick.effects import Acting, Effect, Fix, body_at, changed_robot
+from frogkick.effects import Acting, Effect, Fix, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
@@ -111,7 +111,7 @@ class LaneState:
         swim = self.lane.swim
         periods = len(swim.start_s)
         self.filter = Filter(self.lane.noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
-        self.camera_effects = [effect for effect in self.lane.effects if type(effect).fix is not Effect.fix]
+        self.camera_effects = [effect for effect in self.lane.effects if effect.overrides("fix")]
         self.corrected_s = swim.begin_s  # the latest
         self.next_fix = int(np.searchsorted(swim.time_s, swim.begin_s))
         self.next_stroke = self.next_segment = 0
@@ -219,7 +219,8 @@ class RolloutBatch:
                 lane_state.next_stroke < len(strokes)
                 and strokes[lane_state.next_stroke][0] < until[slot] - 1e-9
             ):
-                self._fire(slot, lane_state, *strokes[lane_state.next_stroke])
+                time_s, limb = strokes[lane_state.next_stroke]
+                lane_state.acting.fire(self.batch, slot, limb, time_s, 0)
                 lane_state.next_stroke += 1
         start = self.batch.time_s.copy()
         # Each lane has its own count: the result shall not depend on the other lanes.
@@ -236,15 +237,6 @@ class RolloutBatch:
             joined = np.concatenate([lane_state.poses, *(rows for _, rows in parts[slot])])
             joined[:, 2] = np.unwrap(joined[:, 2])
             lane_state.poses = joined
-
-    def _fire(self, slot: int, lane_state: LaneState, time_s: float, limb: int) -> None:
-        body = None
-        if lane_state.acting.asks_body:
-            row = self.batch.motion_world()[slot]
-            body = body_at(time_s, row[:3], row[3:6])
-        stroke = lane_state.acting.stroke(0, limb, time_s, body)
-        start_s = time_s + stroke.delay_s
-        self.batch.fire(slot, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
     def _correct(self, lane_state: LaneState) -> tuple[Float64, Float64]:
         """At a segment's end: record the prediction that ends here and update by the fixes known by now.

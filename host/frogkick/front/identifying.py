@@ -14,12 +14,7 @@ from frogkick.core.progress import in_stages, progress_bar
 from frogkick.front.html import page_of
 from frogkick.front.running import Run, run_of
 from frogkick.identification.horizons import Horizon
-from frogkick.identification.outcome import (
-    Outcome,
-    found_toml,
-    robot_of_runs,
-    write_predictions,
-)
+from frogkick.identification.outcome import Outcome, found_toml, robot_of_runs, write_predictions
 from frogkick.identification.outcome import identify as find
 from frogkick.identification.segments import segments_of
 from frogkick.identification.terms import FoundEffect, Interval

@@ -20,14 +20,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, Stage, in_stages, shown
 from frogkick.front.html import page_of
 from frogkick.front.identifying import Given, LeftOut, log_of
-from frogkick.front.retune_tables import (
-    PERIOD_OFF,
-    Lost,
-    TableMaker,
-    Tracked,
-    table_error,
-    table_horizons,
-)
+from frogkick.front.retune_tables import PERIOD_OFF, Lost, TableMaker, Tracked, table_error, table_horizons
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
 from frogkick.identification.horizons import Horizon

@@ -147,11 +147,7 @@ def with_fewer_free(fitted: Fitted, data: Data, whole: bool = False) -> Fitted:
 
 
 def simpler_model(
-    fitted: Fitted,
-    tries: Sequence[tuple[Model, Float64]],
-    saved: Sequence[float],
-    margin: float,
-    data: Data,
+    fitted: Fitted, tries: Sequence[tuple[Model, Float64]], saved: Sequence[float], margin: float, data: Data
 ) -> tuple[Fitted, int] | None:
     """The best of some simpler models, fitted, and its index; None if all lose more than they save.
 

@@ -22,21 +22,16 @@ from matplotlib.figure import Figure
 from frogkick.core.chunks import Job, code_stamp, run_chunks
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import write_text
-from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
 from frogkick.front.tables import robot_of_table, table_image
+from frogkick.identification import search
 from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.fit import rollouts_of
 from frogkick.identification.outcome import identify
-from frogkick.identification.search import nominal_fit
 from frogkick.identification.segments import Segments, segments_of
-from frogkick.identification.verdict import (
-    fix_noise,
-    noise_floor,
-    prediction_errors,
-)
+from frogkick.identification.verdict import scored
 from frogkick.paths import shape
 from frogkick.planner.plan import config_of
 from frogkick.pool.native_robot import NativeRobot
@@ -198,10 +193,10 @@ def _drawn(
 
 def over_floor(train: Sequence[Segments], test: Sequence[Segments], robot: Robot) -> float:
     """By how many noise floors the nominal model misses test runs in position, as identification will say."""
-    nominal = nominal_fit(train, robot)[1].model
-    before = PredictionError.of(prediction_errors(rollouts_of([nominal], test)[0], test))
-    floor = noise_floor(test, fix_noise(train) or fix_noise(test) or nominal.noise.fix)
-    return before.position_rmse_m / floor.position_rmse_m
+    data, nominal = search.nominal_fit(train, robot)
+    (rollouts,) = rollouts_of([nominal.model], test)
+    both = scored(search.Found(data, nominal, nominal), test, rollouts, rollouts)
+    return both.before.position_rmse_m / both.noise_floor.position_rmse_m
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from mkdocs.structure.pages import Page
 from pydantic import BaseModel
 
 import frogkick
-from frogkick.cli.app import COMMANDS, SECTIONS
+from frogkick.cli.app import SECTIONS
 from frogkick.cli.main import run_command
 from frogkick.effects import BUILT_IN, law
 from frogkick.robot.schema import ABOUT, RobotFile, table_in
@@ -45,11 +45,11 @@ def _help(words: list[str]) -> str:
 def commands() -> Iterator[str]:
     """Every command's own help, in the order of ``frogkick --help``."""
     os.environ["COLUMNS"] = "100"
-    for section in dict.fromkeys(SECTIONS.values()):
+    for section, listed_there in SECTIONS.items():
         yield f"## {section}"
-        for name in (name for name in SECTIONS if SECTIONS[name] == section):
+        for name, (_, line) in listed_there.items():
             text = _help([name])
-            yield f"### frogkick {name}\n\n{COMMANDS[name][1]}\n\n```text\n{text}\n```"
+            yield f"### frogkick {name}\n\n{line}\n\n```text\n{text}\n```"
             if "COMMAND" in text.splitlines()[0]:
                 listed = text.split("Commands:\n", 1)[1]
                 for inner in re.findall(r"^  ([a-z][\w-]*)  ", listed, re.MULTILINE):

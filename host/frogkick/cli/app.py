@@ -12,6 +12,61 @@ from typer.core import TyperGroup
 import frogkick
 from frogkick.core.interrupts import ctrl_c_waits
 
+ROBOT_COMMANDS = {
+    "list": ("start:list_robots", "List the built-in robots."),
+    "new": ("start:new_robot", "Write a complete robot file to start from, with a comment on every key."),
+    "fit-stroke": (
+        "start:fit_stroke",
+        "Fit limb profiles to measured strokes: how the curvature falls and recovers.",
+    ),
+    "show": (
+        "start:show_robot",
+        "Show a robot in numbers, and draw it as it is simulated: nodes, frame, limbs at rest and active.",
+    ),
+    "frames": (
+        "start:draw_frames",
+        "Draw the frames and units that files, options and logs use: pool, robot, tag and heights.",
+    ),
+}
+LIBRARY_COMMANDS = {
+    "build": ("make:build_library", "Simulate every action from each of many initial velocities."),
+    "info": ("make:show_library", "Show what a library holds."),
+}
+TABLES_COMMANDS = {
+    "build": (
+        "make:build_table",
+        "Make a table image, and measure its error on states that are not in it.",
+    ),
+    "info": (
+        "make:show_table",
+        "Check a table image, show what it holds, and measure its error on unseen states.",
+    ),
+}
+FIRMWARE_COMMANDS = {
+    "build": ("make:build_firmware", "Build the firmware around a table image."),
+    "size": ("make:measure_firmware", "Measure flash, RAM and stack of the bench image."),
+    "flash": (
+        "make:flash_firmware",
+        "Flash the bench image into a development kit through its debug probe.",
+    ),
+    "test": (
+        "make:check_firmware",
+        "Boot the image on the virtual chip and test every command, stroke and limit.",
+    ),
+}
+CAMERA_COMMANDS = {
+    "calibrate": (
+        "camera:calibrate",
+        "Calibrate the camera from the pool's four corners, or from a board that lies on the water's plane.",
+    ),
+    "check": ("camera:check", "Map the position errors over the pool, in mm."),
+    "track": ("camera:track", "Print the tag's pose in each picture."),
+    "picture": ("camera:picture", "Take a picture, in which the pool's corners can be found."),
+    "tag": (
+        "camera:tag_page",
+        "Write a page with the tag at true scale, an arrow that points forward, and a ruler.",
+    ),
+}
 LOG_COMMANDS = {
     "show": ("log:show_run", "Show a run in numbers and in one picture."),
     "compare": ("log:compare", "Compare two runs side by side."),
@@ -35,45 +90,51 @@ STUDY_COMMANDS = {
     "convergence": ("study", "Measure the error of the rods against their time step."),
     "chip": ("study", "Measure how many cycles a decision takes on the chip."),
 }
-START, MAKE, RUN, LEARN, RESEARCH = "Start", "Make", "Run", "Learn", "Research"
-SECTIONS = {
-    "demo": START, "doctor": START, "robot": START,
-    "simulate": MAKE, "library": MAKE, "tables": MAKE, "codegen": MAKE, "firmware": MAKE,
-    "pool": RUN, "camera": RUN, "scan": RUN, "run": RUN, "push": RUN, "own": RUN, "log": RUN, "export": RUN,
-    "import": LEARN, "replay": LEARN, "identify": LEARN, "retune": LEARN,
-    "parity": RESEARCH, "validate": RESEARCH, "sweep": RESEARCH, "study": RESEARCH,
-}  # fmt: skip
-"""The section of the help that lists each command, in this order."""
-COMMANDS = {
-    "demo": ("start:demo", "Go once round the ring on the virtual chip and write a report."),
-    "doctor": ("start:doctor", "Show what this machine has, and what to install for more."),
-    "simulate": ("make:simulate", "Simulate a gait, or a sequence of actions."),
-    "sweep": ("research:sweep", "Simulate every EGaIn fraction, frequency and phase."),
-    "validate": ("research:validate", "Compare the model with simulated and measured swims."),
-    "codegen": ("make:codegen", "Generate C99 from a table and the planner."),
-    "run": ("run:run", "Follow a path in closed loop, from position fixes to strokes."),
-    "pool": ("robots:serve_pool", "Serve a simulated robot at a serial port, with a camera over it."),
-    "replay": ("log:replay", "Replay a run's fixes and compare each decision."),
-    "parity": ("research:parity", "Check that Python, native C and the chip decide the same bits."),
-    "import": ("log:import_", "Import recorded runs and repair or mark their faults."),
-    "identify": ("identify:identify", "Identify the physical effects that a robot's model lacks."),
-    "retune": ("identify:retune", "Make new tables for a worn robot."),
-    "scan": ("robots:scan", "List the robots in Bluetooth range: signal, table and state."),
-    "push": ("robots:push", "Send a robot another table by Bluetooth or serial line."),
-    "own": ("robots:own", "Restrict a robot to the commands of its owner."),
-    "export": ("log:export", "Export a run as CSV or as MCAP."),
-    "robot": ("start:robot", "List and show robots, and write the file of a new one."),
-    "camera": ("camera:camera", "Calibrate and check the camera, and track or print the tag."),
-    "log": (LOG_COMMANDS, "Show and compare runs, and fetch a robot's own log."),
-    "library": ("make:library", "Simulate transitions for many initial velocities."),
-    "tables": ("make:tables", "Make the robot's table image from a library."),
-    "firmware": ("make:firmware", "Build, measure, flash and test the robot's firmware."),
-    "study": (STUDY_COMMANDS, "Run a study of the method and draw its figure."),
+SECTIONS: dict[str, dict[str, tuple[Any, str]]] = {
+    "Start": {
+        "demo": ("start:demo", "Go once round the ring on the virtual chip and write a report."),
+        "doctor": ("start:doctor", "Show what this machine has, and what to install for more."),
+        "robot": (ROBOT_COMMANDS, "List and show robots, and write the file of a new one."),
+    },
+    "Make": {
+        "simulate": ("make:simulate", "Simulate a gait, or a sequence of actions."),
+        "library": (LIBRARY_COMMANDS, "Simulate transitions for many initial velocities."),
+        "tables": (TABLES_COMMANDS, "Make the robot's table image from a library."),
+        "codegen": ("make:codegen", "Generate C99 from a table and the planner."),
+        "firmware": (FIRMWARE_COMMANDS, "Build, measure, flash and test the robot's firmware."),
+    },
+    "Run": {
+        "pool": ("robots:serve_pool", "Serve a simulated robot at a serial port, with a camera over it."),
+        "camera": (CAMERA_COMMANDS, "Calibrate and check the camera, and track or print the tag."),
+        "scan": ("robots:scan", "List the robots in Bluetooth range: signal, table and state."),
+        "run": ("run:run", "Follow a path in closed loop, from position fixes to strokes."),
+        "push": ("robots:push", "Send a robot another table by Bluetooth or serial line."),
+        "own": ("robots:own", "Restrict a robot to the commands of its owner."),
+        "log": (LOG_COMMANDS, "Show and compare runs, and fetch a robot's own log."),
+        "export": ("log:export", "Export a run as CSV or as MCAP."),
+    },
+    "Learn": {
+        "import": ("log:import_", "Import recorded runs and repair or mark their faults."),
+        "replay": ("log:replay", "Replay a run's fixes and compare each decision."),
+        "identify": ("identify:identify", "Identify the physical effects that a robot's model lacks."),
+        "retune": ("identify:retune", "Make new tables for a worn robot."),
+    },
+    "Research": {
+        "parity": ("research:parity", "Check that Python, native C and the chip decide the same bits."),
+        "validate": ("research:validate", "Compare the model with simulated and measured swims."),
+        "sweep": ("research:sweep", "Simulate every EGaIn fraction, frequency and phase."),
+        "study": (STUDY_COMMANDS, "Run a study of the method and draw its figure."),
+    },
 }
-"""For each name: its place in this package, and one line of help.
+"""Section of the help -> its commands by their names: the place in this package, and one line of help.
 
-The place is ``module:name`` of a function or a group, the module of all studies, or the commands of a group.
+The place is ``module:name`` of a function, the module of all studies, or the commands of a group.
 """
+COMMANDS = {name: command for section in SECTIONS.values() for name, command in section.items()}
+LONGER = {
+    "camera": "Calibrate and check the camera over the pool, and track or print the robot's tag.",
+}
+"""What the help of a group itself says, where that is more than its line."""
 
 
 class LazyGroup(TyperGroup):
@@ -91,7 +152,7 @@ class LazyGroup(TyperGroup):
             return None
         place, text = self.table[cmd_name]
         if isinstance(place, dict):
-            return typer.main.get_command(_group(cmd_name, text, place))
+            return typer.main.get_command(_group(cmd_name, LONGER.get(cmd_name, text), place))
         name, _, attribute = place.partition(":")
         with ctrl_c_waits():
             from frogkick.cli.options import with_options
@@ -100,19 +161,15 @@ class LazyGroup(TyperGroup):
         parent = typer.Typer(rich_markup_mode=None, add_completion=False)
         parent.callback()(lambda: None)
         found = getattr(module, attribute) if attribute else module.command(cmd_name)
-        if isinstance(found, typer.Typer):
-            parent.add_typer(found, name=cmd_name)
-        else:
-            parent.command(cmd_name, cls=getattr(module, "Command", None))(with_options(found))
+        parent.command(cmd_name, cls=getattr(module, "Command", None))(with_options(found))
         return typer.main.get_group(parent).commands[cmd_name]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the names and the lines of help from the table; the root's are grouped by section."""
-        places = {name: SECTIONS[name] if self.table is COMMANDS else "Commands" for name in self.table}
-        names = list(SECTIONS) if self.table is COMMANDS else list(self.table)
-        for section in dict.fromkeys(places[name] for name in names):
-            with formatter.section(section):
-                formatter.write_dl([(name, self.table[name][1]) for name in names if places[name] == section])
+        sections = SECTIONS if self.table is COMMANDS else {"Commands": self.table}
+        for title, commands in sections.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, command[1]) for name, command in commands.items()])
 
 
 def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:

@@ -245,9 +245,3 @@ def tag_page(
     require_writable(out)
     width_m, height_m = write_tag(out, family=tag_family, tag_id=tag_id, size_m=tag_size_mm / 1e3)
     show({"out": str(out), "page_mm": [1e3 * width_m, 1e3 * height_m], "tag_size_mm": tag_size_mm}, json)
-
-
-camera = opt.group(
-    "Calibrate and check the camera over the pool, and track or print the robot's tag.",
-    {"calibrate": calibrate, "check": check, "track": track, "picture": picture, "tag": tag_page},
-)

@@ -299,13 +299,3 @@ def check_firmware(
 
     trial = try_firmware(tables, robot, progress=True)
     show(trial.as_json(), json, passed=trial.passed)
-
-
-library = opt.group(
-    "Simulate transitions for many initial velocities.", {"build": build_library, "info": show_library}
-)
-tables = opt.group("Make the robot's table image from a library.", {"build": build_table, "info": show_table})
-firmware = opt.group(
-    "Build, measure, flash and test the robot's firmware.",
-    {"build": build_firmware, "size": measure_firmware, "flash": flash_firmware, "test": check_firmware},
-)

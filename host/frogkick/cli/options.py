@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args
 
 import typer
-from typer.core import TyperGroup
 
 PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
 PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
@@ -91,17 +90,6 @@ def call(function: Callable[..., Found], options: Mapping[str, Any], **others: A
     return function(**{**plain, **others})
 
 
-class WholeLines(TyperGroup):
-    """A group whose help shows the whole first sentence of each command."""
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write names and sentences."""
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, each.get_short_help_str(limit=200)) for name, each in self.commands.items()]
-            )
-
-
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command whose arguments ``Annotated[type, "help", Within(...)]`` are options with that help.
 
@@ -119,11 +107,3 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         parameters.append(parameter.replace(annotation=annotation))
     command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return command
-
-
-def group(text: str, commands: Mapping[str, Callable[..., None]]) -> typer.Typer:
-    """Return a group of commands by their names; ``text`` is its help."""
-    made = typer.Typer(cls=WholeLines, help=text, no_args_is_help=True)
-    for name, command in commands.items():
-        made.command(name)(with_options(command))
-    return made

@@ -184,16 +184,15 @@ def show_robot(
     from frogkick.front.describing import describe
 
     require_writable(out)
-    described = describe(robot)
+    described = fk.load_robot(robot)
+    facts = describe(described)
     if out is not None:
         from frogkick.report.robot_figure import write_robot_figure
 
-        write_robot_figure(described.robot, out)
-    for warning in described.warnings:
+        write_robot_figure(described, out)
+    for warning in facts["warnings"]:
         print(f"frogkick: warning: {warning}", file=sys.stderr)
-    facts, picture = described.as_json(), None if out is None else str(out)
-    values = {**facts, "warnings": list(described.warnings), "out": picture}
-    show(values, json, _robot_text(described.robot, facts))
+    show({**facts, "out": out and str(out)}, json, _robot_text(described, facts))
 
 
 def draw_frames(
@@ -230,15 +229,3 @@ def _robot_text(robot: fk.Robot, facts: dict[str, Any]) -> str:
         first, second = (" ".join(action[group]) or "none" for group in ("first", "second"))
         lines.append(f"action {action['name']}: {first}; then {second}")
     return "\n".join(lines)
-
-
-robot = opt.group(
-    "List and show robots, and write the file of a new one.",
-    {
-        "list": list_robots,
-        "new": new_robot,
-        "fit-stroke": fit_stroke,
-        "show": show_robot,
-        "frames": draw_frames,
-    },
-)

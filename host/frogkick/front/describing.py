@@ -12,7 +12,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
-from frogkick.der import Rods, prepare
+from frogkick.der import prepare
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
 from frogkick.robot.profile import Profile, Stroke, fit_stroke, read_stroke, write_profiles
 from frogkick.robot.template import new_robot_text
@@ -21,72 +21,55 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
-class Description:
-    """A robot as it is simulated: its rods at rest, and warnings of doubtful geometry or limits."""
+def describe(robot: Robot) -> dict[str, Any]:
+    """The keys of the command ``robot show``: the robot as it is simulated, with lengths at rest."""
+    mesh, guard = prepare(robot).mesh, robot.guard
+    corners = np.array(robot.frame.corners_m)
 
-    robot: Robot
-    rods: Rods
-    warnings: tuple[str, ...]
+    def limb_names(mask: int) -> list[str]:
+        return [limb.name for i, limb in enumerate(robot.limbs) if mask >> i & 1]
 
-    def as_json(self) -> dict[str, Any]:
-        """The keys of the command ``robot show``; lengths are those at rest."""
-        robot, mesh = self.robot, self.rods.mesh
-        corners = np.array(robot.frame.corners_m)
-        guard = robot.guard
-        return {
-            "id": robot.id,
-            "title": robot.title,
-            "sha256": robot.sha256.hex(),
-            "limbs": [
-                {
-                    "index": i,
-                    "name": limb.name,
-                    "corner": limb.corner,
-                    "root_m": list(robot.frame.corners_m[limb.corner]),
-                    "direction_rad": limb.direction_rad,
-                    "length_m": limb.length_m,
-                    "rest_curvature_per_m": limb.rest_curvature_per_m,
-                    "actions": [a.name for a in robot.actions if (a.first_mask | a.second_mask) >> i & 1],
-                }
-                for i, limb in enumerate(robot.limbs)
-            ],
-            "actions": [
-                {
-                    "name": a.name,
-                    "first": self._limb_names(a.first_mask),
-                    "second": self._limb_names(a.second_mask),
-                }
-                for a in robot.actions
-            ],
-            "nodes": len(mesh.rest_m),
-            "mass_kg": robot.mass_kg,
-            "sizes": {
-                "length_m": float(np.ptp(mesh.rest_m[:, 0])),
-                "width_m": float(np.ptp(mesh.rest_m[:, 1])),
-                "frame_length_m": float(np.ptp(corners[:, 0])),
-                "frame_width_m": float(np.ptp(corners[:, 1])),
-                "segment_min_m": float(mesh.edge_length_m.min()),
-                "segment_max_m": float(mesh.edge_length_m.max()),
-                "mass_with_water_kg": float(mesh.mass_kg.sum()),
-                "centre_m": (corners[0] - mesh.rest_m[0]).tolist(),
-            },
-            "limits": {
-                name: getattr(guard, name)
-                for name in ("pulse_max_s", "rest_min_s", "duty_max", "duty_window_s", "limbs_at_once_max")
-            },
-            "period_s": robot.period_s,
-            "pulse_s": robot.pulse_s,
-        }
-
-    def _limb_names(self, mask: int) -> list[str]:
-        return [limb.name for i, limb in enumerate(self.robot.limbs) if mask >> i & 1]
-
-
-def describe(robot: Robot | str) -> Description:
-    """Describe a robot, given by its name or its TOML file."""
-    described = load_robot(robot)
-    return Description(described, prepare(described), tuple(robot_warnings(described)))
+    return {
+        "id": robot.id,
+        "title": robot.title,
+        "sha256": robot.sha256.hex(),
+        "limbs": [
+            {
+                "index": i,
+                "name": limb.name,
+                "corner": limb.corner,
+                "root_m": list(robot.frame.corners_m[limb.corner]),
+                "direction_rad": limb.direction_rad,
+                "length_m": limb.length_m,
+                "rest_curvature_per_m": limb.rest_curvature_per_m,
+                "actions": [a.name for a in robot.actions if (a.first_mask | a.second_mask) >> i & 1],
+            }
+            for i, limb in enumerate(robot.limbs)
+        ],
+        "actions": [
+            {"name": a.name, "first": limb_names(a.first_mask), "second": limb_names(a.second_mask)}
+            for a in robot.actions
+        ],
+        "nodes": len(mesh.rest_m),
+        "mass_kg": robot.mass_kg,
+        "sizes": {
+            "length_m": float(np.ptp(mesh.rest_m[:, 0])),
+            "width_m": float(np.ptp(mesh.rest_m[:, 1])),
+            "frame_length_m": float(np.ptp(corners[:, 0])),
+            "frame_width_m": float(np.ptp(corners[:, 1])),
+            "segment_min_m": float(mesh.edge_length_m.min()),
+            "segment_max_m": float(mesh.edge_length_m.max()),
+            "mass_with_water_kg": float(mesh.mass_kg.sum()),
+            "centre_m": (corners[0] - mesh.rest_m[0]).tolist(),
+        },
+        "limits": {
+            name: getattr(guard, name)
+            for name in ("pulse_max_s", "rest_min_s", "duty_max", "duty_window_s", "limbs_at_once_max")
+        },
+        "period_s": robot.period_s,
+        "pulse_s": robot.pulse_s,
+        "warnings": robot_warnings(robot),
+    }
 
 
 def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | None = None) -> Robot:

@@ -22,7 +22,7 @@ from frogkick.planner.lookup import arrays_of
 from frogkick.planner.plan import Cost, PlanConfig, config_of, plan
 from frogkick.robot import parse_robot
 from frogkick.tables.image import open_image
-from frogkick_studies.ceiling import ceiling_figure, mean_of, more_than, over_seeds, rms_error
+from frogkick_studies.ceiling import CeilingStudy, mean_of, more_than, over_seeds, rms_error
 from frogkick_studies.rods_in_loop import (
     AFFINE,
     NEAREST,
@@ -200,7 +200,7 @@ def test_the_picture_has_every_source_and_units() -> None:
         for depth in (1, 2)
         for seed in (0, 1)
     ]
-    figure = ceiling_figure(runs)
+    figure = CeilingStudy(runs, (1, 2), 2, {}).plot()
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[:2] == ["mean distance to the path (mm)"] * 2
     assert labels[2::3] == ["position error (mm)", "heading error (degrees)"]
@@ -213,7 +213,7 @@ def test_the_picture_has_every_source_and_units() -> None:
         for source in SOURCES
         for seed in range(3)
     ]
-    said = {text.get_text() for text in ceiling_figure(stopped).axes[0].texts}
+    said = {text.get_text() for text in CeilingStudy(stopped, (1,), 3, {}).plot().axes[0].texts}
     assert said == {"2 of 3\nnot to\nthe end"}
 
 

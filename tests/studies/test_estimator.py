@@ -25,7 +25,7 @@ from frogkick_studies.bad_fixes import (
     compare_estimators,
     conditions,
 )
-from frogkick_studies.estimator import estimator_figure
+from frogkick_studies.estimator import EstimatorStudy
 
 Outcomes = dict[Condition, dict[str, Outcome]]
 
@@ -135,7 +135,7 @@ def test_a_run_begins_when_the_robot_knows_where_it_is(monkeypatch: pytest.Monke
 
 
 def test_the_picture_shows_every_method(outcomes: Outcomes) -> None:
-    figure = estimator_figure(outcomes)
+    figure = EstimatorStudy(outcomes, 1).plot()
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert "Position at decision time" in titles and "Closed loop: ellipse" in titles
     words = [text.get_text() for text in figure.legends[0].get_texts()]

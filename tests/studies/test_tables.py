@@ -17,14 +17,13 @@ from frogkick.library import Library, error_on, fit_table, quantise, sample_libr
 from frogkick.tables.image import open_image
 from frogkick_studies import history
 from frogkick_studies import tables as tables_study
-from frogkick_studies.history import history_figure
+from frogkick_studies.history import HistoryStudy
 from frogkick_studies.tables import (
     TablePoint,
     TableSizes,
     least_bytes_as_good,
     over_full_nearest,
     slope,
-    table_size_figure,
     table_sizes,
 )
 
@@ -128,7 +127,7 @@ def test_history_as_an_input_is_worth_most_where_limbs_tire(monkeypatch: pytest.
     for plain in results[: len(results) - len(tiring)]:
         assert plain.largest_mm < 0.1
         assert plain.with_use["position_m"] < 1e-4
-    heights = sorted(bar.get_height() for bar in history_figure(results).axes[0].patches)
+    heights = sorted(bar.get_height() for bar in HistoryStudy(results, 1).plot().axes[0].patches)
     errors = [getattr(r, t)["position_m"] for r in results for t in ("restarted", "without", "with_use")]
     assert heights == pytest.approx(sorted(1e3 * error for error in errors))
 
@@ -139,7 +138,7 @@ def test_the_picture_has_both_kinds_and_units() -> None:
         for kind in ("nearest", "affine")
         for size, states in ((4000, 10), (9000, 30))
     )
-    figure = table_size_figure(TableSizes(points, points[2:]))
+    figure = TableSizes(points, points[2:]).plot()
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["position error (mm)", "heading error (degrees)", "position error (mm)"]
     for axes in figure.axes:

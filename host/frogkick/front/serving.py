@@ -127,26 +127,34 @@ class ServedPool:
     """An open pool.
 
     Attributes:
-        target, source: the robot and the camera, as ``--robot`` and ``--source`` take them.
-        picture: address of a single picture.
         table: the table in the robot's firmware.
-        pool_m: length and width.
         begin: x_m, y_m, heading_rad where the robot was first.
         flash: file in which its flash is kept; None: in none.
+        source: the camera, as ``--source`` takes it.
+        picture: address of a single picture.
+        covered, mirrored: the tag is hidden, the pictures are mirrored.
     """
 
-    target: str
-    source: str
-    picture: str
     table: Table
-    pool_m: tuple[float, float]
     begin: tuple[float, float, float]
     flash: Path | None
+    _scene: Scene = field(repr=False)
+    _calibration: Calibration | None = field(repr=False)
     _robot: ServedRobot = field(repr=False)
     _line: PtyLine = field(repr=False)
-    _sight: _Sight = field(repr=False)
+    _seed: int = field(repr=False)
+    source: str = ""
+    picture: str = ""
+    covered: bool = False
+    mirrored: bool = False
+    _taken: int = field(default=0, repr=False)
     _kept: bytes | None = field(default=None, repr=False)
     _kept_s: float = 0.0
+
+    @property
+    def target(self) -> str:
+        """The robot, as ``--robot`` takes it."""
+        return f"serial:{self._line.path}"
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``pool``."""
@@ -157,9 +165,20 @@ class ServedPool:
             "picture": self.picture,
             "robot": self.table.robot.id,
             "table_crc": f"{self.table.crc32:08x}",
-            "pool_m": list(self.pool_m),
+            "pool_m": list(self._scene.pool_m),
             "begin": f"{x_m:g},{y_m:g},{math.degrees(heading_rad):g}",
         }
+
+    def seen(self) -> UInt8:
+        """Render what the camera sees now; several viewers may ask at once."""
+        self._taken += 1
+        pose = self._robot.pose_world
+        if self._calibration is not None:
+            x_m, y_m, heading_rad = (float(value) for value in tag_place(self._calibration, *pose))
+            pose = (x_m, y_m, heading_rad)
+        rng = np.random.default_rng((self._seed, self._taken))
+        image = self._scene.picture(None if self.covered else pose, rng)
+        return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
 
     def look_after(self) -> None:
         """Keep the flash where it has changed; call it now and then."""
@@ -191,15 +210,15 @@ class ServedPool:
                 f"{', '.join(WORDS)}"
             )
         if word == "put":
-            pose = _pose_in(self.pool_m, rest.strip(), "put") if rest.strip() else self.begin
+            pose = _pose_in(self._scene.pool_m, rest.strip(), "put") if rest.strip() else self.begin
             self._robot.put(pose)
             return f"the robot lies at {pose[0]:g}, {pose[1]:g} m, {math.degrees(pose[2]):g} degrees"
         if word in ("hide", "show"):
-            self._sight.covered = word == "hide"
-            return "the tag is covered" if self._sight.covered else "the tag is uncovered"
+            self.covered = word == "hide"
+            return "the tag is covered" if self.covered else "the tag is uncovered"
         if word == "mirror":
-            self._sight.mirrored = not self._sight.mirrored
-            return f"the camera's pictures are {'' if self._sight.mirrored else 'not '}mirrored"
+            self.mirrored = not self.mirrored
+            return f"the camera's pictures are {'' if self.mirrored else 'not '}mirrored"
         if word == "restart":
             self._robot.restart()
             return "the robot was switched off and on"
@@ -209,7 +228,6 @@ class ServedPool:
             self._line.pull_out()
             return "the cable is pulled"
         self._line.plug_in()
-        self.target = f"serial:{self._line.path}"
         return f"the cable is plugged in: {self.target}"
 
 
@@ -268,40 +286,13 @@ def served_pool(
         pool = Pool(described, first, Camera(rate_hz=1.0), rng, true)
         pool.advance(1e-3)  # compiles the rods where that is needed
         served = ServedRobot(switch_on, pool, held)
-        sight = _Sight(scene, calibration, served, seed)
         wire = stack.enter_context(PtyLine(None if line is None else Path(line), served))
-        source, picture = stack.enter_context(streamed(sight.picture, RATE_HZ, port))
-        opened = ServedPool(
-            f"serial:{wire.path}", source, picture, used, scene.pool_m, first, kept, served, wire, sight
-        )
+        opened = ServedPool(used, first, kept, scene, calibration, served, wire, seed)
+        opened.source, opened.picture = stack.enter_context(streamed(opened.seen, RATE_HZ, port))
         try:
             yield opened
         finally:
             opened.keep()
-
-
-@dataclass
-class _Sight:
-    """The camera over the pool, and what is in its way."""
-
-    scene: Scene
-    calibration: Calibration | None
-    robot: ServedRobot
-    seed: int
-    covered: bool = False
-    mirrored: bool = False
-    _taken: int = 0
-
-    def picture(self) -> UInt8:
-        """Render what the camera sees now; several viewers may ask at once."""
-        self._taken += 1
-        pose = self.robot.pose_world
-        if self.calibration is not None:
-            x_m, y_m, heading_rad = (float(value) for value in tag_place(self.calibration, *pose))
-            pose = (x_m, y_m, heading_rad)
-        rng = np.random.default_rng((self.seed, self._taken))
-        image = self.scene.picture(None if self.covered else pose, rng)
-        return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
 
 
 def _maker(name: str, image: Path, limbs: int) -> Callable[[bytes | None], SimulatedPort]:

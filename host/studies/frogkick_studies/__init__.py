@@ -8,14 +8,11 @@ and ToolchainError where a compiler is missing; the text says what to do.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from typing import Any
 
 
 class Found(ABC):
-    """The result of a study.
+    """The result of a study; if it has a figure, ``plot`` returns it.
 
     Attributes:
         passed: whether all requirements of the study are met.
@@ -25,10 +22,6 @@ class Found(ABC):
     def passed(self) -> bool:
         """Whether all requirements are met; true if there are none."""
         return True
-
-    def plot(self) -> Figure:
-        """Return a matplotlib figure."""
-        raise NotImplementedError(f"{type(self).__name__} has no picture")
 
     @abstractmethod
     def as_json(self) -> dict[str, Any]:

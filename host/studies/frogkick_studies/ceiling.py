@@ -97,7 +97,26 @@ class CeilingStudy(Found):
     table_bytes: Mapping[str, int]
 
     def plot(self) -> Figure:
-        return ceiling_figure(self.runs)
+        """Draw ``follow_paths``: distance and progress by path and depth, and errors one period ahead."""
+        paths = list(dict.fromkeys(run.path for run in self.runs))
+        depths = sorted({run.depth for run in self.runs})
+        with style.new_figure(4.6 * (len(depths) + 1), 6.4) as figure:
+            panels = figure.subplots(2, len(depths) + 1, squeeze=False)
+            for column, depth in enumerate(depths):
+                here = [run for run in self.runs if run.depth == depth]
+                for row, (name, label) in enumerate(_MEASURES):
+                    axes = panels[row, column]
+                    _by_path(axes, here, paths, name)
+                    axes.set_ylabel(label)
+                    axes.set_ylim(0.0, 1.06e3 * max(getattr(run, name) for run in self.runs))
+                panels[0, column].set_title(f"Looking {depth} {'stroke' if depth == 1 else 'strokes'} ahead")
+            for axes, (name, factor, label) in zip(panels[:, -1], _ERRORS, strict=True):
+                _ahead(axes, self.runs, name, factor)
+                axes.set_ylabel(label)
+            panels[0, -1].set_title("Error one stroke ahead, RMS of all decisions")
+            handles = [panels[0, 0].plot([], [], "s", color=_COLOUR[s], label=_LABEL[s])[0] for s in SOURCES]
+            figure.legend(handles=handles, loc="outside lower center", ncols=len(SOURCES))
+        return figure
 
     def as_json(self) -> dict[str, Any]:
         ahead = {
@@ -195,29 +214,6 @@ def run(config: Ceiling) -> CeilingStudy:
     with shown(True, "runs") as tell:
         runs = follow_paths(robot, images, list(SHAPES), depths, config.seeds, limit_s, processes, tell)
     return CeilingStudy(runs, depths, config.seeds, {name: len(image) for name, image in images.items()})
-
-
-def ceiling_figure(runs: Sequence[Run]) -> Figure:
-    """Draw ``follow_paths``: distance and progress by path and depth, and errors one period ahead."""
-    paths = list(dict.fromkeys(run.path for run in runs))
-    depths = sorted({run.depth for run in runs})
-    with style.new_figure(4.6 * (len(depths) + 1), 6.4) as figure:
-        panels = figure.subplots(2, len(depths) + 1, squeeze=False)
-        for column, depth in enumerate(depths):
-            here = [run for run in runs if run.depth == depth]
-            for row, (name, label) in enumerate(_MEASURES):
-                axes = panels[row, column]
-                _by_path(axes, here, paths, name)
-                axes.set_ylabel(label)
-                axes.set_ylim(0.0, 1.06e3 * max(getattr(run, name) for run in runs))
-            panels[0, column].set_title(f"Looking {depth} {'stroke' if depth == 1 else 'strokes'} ahead")
-        for axes, (name, factor, label) in zip(panels[:, -1], _ERRORS, strict=True):
-            _ahead(axes, runs, name, factor)
-            axes.set_ylabel(label)
-        panels[0, -1].set_title("Error one stroke ahead, RMS of all decisions")
-        handles = [panels[0, 0].plot([], [], "s", color=_COLOUR[s], label=_LABEL[s])[0] for s in SOURCES]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(SOURCES))
-    return figure
 
 
 def _by_path(axes: Axes, runs: Sequence[Run], paths: Sequence[str], name: str) -> None:

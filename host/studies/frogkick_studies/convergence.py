@@ -128,7 +128,42 @@ class ConvergenceStudy(Found):
         return not any(curve.worst[curve.step_s == STEP_S].max() > ERROR_LIMIT for curve in self.curves)
 
     def plot(self) -> Figure:
-        return convergence_figure(self.curves, STEP_S)
+        """Draw the errors with a second-order slope, the default step and the limit."""
+        with style.new_figure(6.4, 4.6) as figure:
+            axes = figure.subplots()
+            for curve, colour, marker in zip(self.curves, (style.TRUE, style.MEASURED), "os", strict=False):
+                step_ms = 1e3 * curve.step_s
+                axes.loglog(
+                    step_ms,
+                    100 * curve.error,
+                    marker + "-",
+                    color=colour,
+                    label=f"{curve.name}: RMS, order {curve.order:.2f}",
+                )
+                axes.loglog(
+                    step_ms, 100 * curve.worst, marker + ":", color=colour, label=f"{curve.name}: worst"
+                )
+            first = self.curves[0]
+            guide = first.error[-1] * (first.step_s / first.step_s[-1]) ** 2
+            axes.loglog(1e3 * first.step_s, 50 * guide, "--", color=style.DESIRED, label="slope 2")
+            axes.axvline(1e3 * STEP_S, color=style.ESTIMATED, linewidth=1)
+            axes.axhline(100 * ERROR_LIMIT, color=style.ALARM, linewidth=1)
+            axes.text(1e3 * STEP_S, axes.get_ylim()[0] * 1.3, " default", color=style.ESTIMATED)
+            axes.text(
+                1e3 * first.step_s.max(),
+                85 * ERROR_LIMIT,
+                "limit at the default step",
+                color=style.ALARM,
+                ha="right",
+                va="top",
+            )
+            axes.set_xticks(1e3 * np.sort(first.step_s), [f"{ms:g}" for ms in 1e3 * np.sort(first.step_s)])
+            axes.minorticks_off()
+            axes.set_xlabel("finest time step (ms)")
+            axes.set_ylabel("error of distance or speed (%)")
+            axes.set_title("Error of the rod simulation against its time step")
+            axes.legend(loc="upper left")
+        return figure
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -150,40 +185,3 @@ def run(config: Convergence) -> ConvergenceStudy:
     """Simulate strokes and gaits at several time steps, and compare them with a fine one."""
     with shown(True, "convergence") as tell:
         return ConvergenceStudy(convergence(load_robot(config.robot), tell, config.every))
-
-
-def convergence_figure(curves: Sequence[Curve], default_step_s: float) -> Figure:
-    """Draw the errors with a second-order slope, the default step and the limit."""
-    with style.new_figure(6.4, 4.6) as figure:
-        axes = figure.subplots()
-        for curve, colour, marker in zip(curves, (style.TRUE, style.MEASURED), "os", strict=False):
-            step_ms = 1e3 * curve.step_s
-            axes.loglog(
-                step_ms,
-                100 * curve.error,
-                marker + "-",
-                color=colour,
-                label=f"{curve.name}: RMS, order {curve.order:.2f}",
-            )
-            axes.loglog(step_ms, 100 * curve.worst, marker + ":", color=colour, label=f"{curve.name}: worst")
-        first = curves[0]
-        guide = first.error[-1] * (first.step_s / first.step_s[-1]) ** 2
-        axes.loglog(1e3 * first.step_s, 50 * guide, "--", color=style.DESIRED, label="slope 2")
-        axes.axvline(1e3 * default_step_s, color=style.ESTIMATED, linewidth=1)
-        axes.axhline(100 * ERROR_LIMIT, color=style.ALARM, linewidth=1)
-        axes.text(1e3 * default_step_s, axes.get_ylim()[0] * 1.3, " default", color=style.ESTIMATED)
-        axes.text(
-            1e3 * first.step_s.max(),
-            85 * ERROR_LIMIT,
-            "limit at the default step",
-            color=style.ALARM,
-            ha="right",
-            va="top",
-        )
-        axes.set_xticks(1e3 * np.sort(first.step_s), [f"{ms:g}" for ms in 1e3 * np.sort(first.step_s)])
-        axes.minorticks_off()
-        axes.set_xlabel("finest time step (ms)")
-        axes.set_ylabel("error of distance or speed (%)")
-        axes.set_title("Error of the rod simulation against its time step")
-        axes.legend(loc="upper left")
-    return figure

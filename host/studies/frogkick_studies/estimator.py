@@ -63,7 +63,32 @@ class EstimatorStudy(Found):
     seeds: int
 
     def plot(self) -> Figure:
-        return estimator_figure(self.outcomes)
+        """Draw three errors by rate, one by fault, and the distance to each path."""
+        names = next(iter(self.outcomes.values()))["track"].distance_m
+        with style.new_figure(12.5, 7.6) as figure:
+            panels = figure.subplots(2, 3)
+            for axes, (name, factor, title, label) in zip(panels[0], _QUANTITIES, strict=True):
+                for fault, line, _ in _STYLES:
+                    _by_rate(axes, self.outcomes, fault, line, lambda o, n=name, f=factor: getattr(o, n) * f)
+                _finish(axes, label)
+                axes.set_yscale("log")
+                style.plain_decades(axes.yaxis)
+                axes.set_title(title)
+            _by_fault(panels[1, 0], self.outcomes)
+            for axes, path in zip(panels[1, 1:], names, strict=False):
+                for fault, line, _ in _STYLES:
+                    _by_rate(axes, self.outcomes, fault, line, lambda o, p=path: o.distance_m[p] * 1e3)
+                _finish(axes, "mean distance to the path (mm)")
+                axes.set_ylim(bottom=0.0)
+                axes.set_title(f"Closed loop: {path}")
+            for axes in panels[1, 1 + len(names) :]:
+                axes.set_axis_off()
+            handles, labels = panels[0, 0].get_legend_handles_labels()
+            for _, line, label in _STYLES:
+                handles.append(Line2D([], [], color="0.3", linestyle=line))
+                labels.append(label)
+            figure.legend(handles, labels, loc="outside lower center", ncols=5)
+        return figure
 
     def as_json(self) -> dict[str, Any]:
         rows = [
@@ -105,35 +130,6 @@ def run(config: Estimator) -> EstimatorStudy:
             config.rate or RATES_HZ, config.processes, tell,
         )  # fmt: skip
     return EstimatorStudy(outcomes, config.seeds)
-
-
-def estimator_figure(outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> Figure:
-    """Draw three errors by rate, one by fault, and the distance to each path."""
-    names = next(iter(outcomes.values()))["track"].distance_m
-    with style.new_figure(12.5, 7.6) as figure:
-        panels = figure.subplots(2, 3)
-        for axes, (name, factor, title, label) in zip(panels[0], _QUANTITIES, strict=True):
-            for fault, line, _ in _STYLES:
-                _by_rate(axes, outcomes, fault, line, lambda o, n=name, f=factor: getattr(o, n) * f)
-            _finish(axes, label)
-            axes.set_yscale("log")
-            style.plain_decades(axes.yaxis)
-            axes.set_title(title)
-        _by_fault(panels[1, 0], outcomes)
-        for axes, path in zip(panels[1, 1:], names, strict=False):
-            for fault, line, _ in _STYLES:
-                _by_rate(axes, outcomes, fault, line, lambda o, p=path: o.distance_m[p] * 1e3)
-            _finish(axes, "mean distance to the path (mm)")
-            axes.set_ylim(bottom=0.0)
-            axes.set_title(f"Closed loop: {path}")
-        for axes in panels[1, 1 + len(names) :]:
-            axes.set_axis_off()
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        for _, line, label in _STYLES:
-            handles.append(Line2D([], [], color="0.3", linestyle=line))
-            labels.append(label)
-        figure.legend(handles, labels, loc="outside lower center", ncols=5)
-    return figure
 
 
 def _by_rate(

@@ -244,7 +244,32 @@ class ForesightStudy(Found):
         return nearest_at(self.plans, self.at_least_mps or 0.0)
 
     def plot(self) -> Figure:
-        return foresight_figure(self.path, self.plans)
+        """Draw the tracks of the fastest and the nearest plan, and distance against progress of all."""
+        with style.new_figure(10.0, 4.2) as figure:
+            way, trade = figure.subplots(1, 2, width_ratios=(3, 2))
+            way.plot(*(1e3 * self.path.points_m.T), color=style.DESIRED, lw=2.5, label="path")
+            for plan, colour, name in (
+                (self.plans[0], style.ALARM, "fastest"),
+                (self.plans[-1], style.PREDICTED, "nearest"),
+            ):
+                label = f"{name}: {1e3 * plan.mean_distance_m:.1f} mm off, {1e3 * plan.progress_mps:.1f} mm/s"
+                way.plot(*(1e3 * plan.poses_world[:, :2].T), ".-", ms=3, color=colour, label=label)
+            way.set_aspect("equal", adjustable="datalim")
+            way.set_xlabel("x (mm), pool")
+            way.set_ylabel("y (mm), pool")
+            way.set_title("Tracks of two plans, by the table")
+            way.legend(loc="best")
+            trade.plot(
+                [1e3 * plan.progress_mps for plan in self.plans],
+                [1e3 * plan.mean_distance_m for plan in self.plans],
+                "o-",
+                color=style.PREDICTED,
+            )
+            trade.set_ylim(bottom=0.0)
+            trade.set_xlabel("progress along the path (mm/s)")
+            trade.set_ylabel("mean distance to the path (mm)")
+            trade.set_title("No plan found is below the line")
+        return figure
 
     def as_json(self) -> dict[str, Any]:
         rows = [
@@ -284,32 +309,3 @@ def run(config: Foresight) -> ForesightStudy:
     with shown(True, "decisions ahead") as tell:
         plans = foresee(tables, path, start_pose(path), config.breadth, tell)
     return ForesightStudy(path, config.path, tables, plans, least)
-
-
-def foresight_figure(path: Path, plans: Sequence[Foreseen]) -> Figure:
-    """Draw the tracks of the fastest and the nearest plan, and distance against progress of all."""
-    with style.new_figure(10.0, 4.2) as figure:
-        way, trade = figure.subplots(1, 2, width_ratios=(3, 2))
-        way.plot(*(1e3 * path.points_m.T), color=style.DESIRED, lw=2.5, label="path")
-        for plan, colour, name in (
-            (plans[0], style.ALARM, "fastest"),
-            (plans[-1], style.PREDICTED, "nearest"),
-        ):
-            label = f"{name}: {1e3 * plan.mean_distance_m:.1f} mm off, {1e3 * plan.progress_mps:.1f} mm/s"
-            way.plot(*(1e3 * plan.poses_world[:, :2].T), ".-", ms=3, color=colour, label=label)
-        way.set_aspect("equal", adjustable="datalim")
-        way.set_xlabel("x (mm), pool")
-        way.set_ylabel("y (mm), pool")
-        way.set_title("Tracks of two plans, by the table")
-        way.legend(loc="best")
-        trade.plot(
-            [1e3 * plan.progress_mps for plan in plans],
-            [1e3 * plan.mean_distance_m for plan in plans],
-            "o-",
-            color=style.PREDICTED,
-        )
-        trade.set_ylim(bottom=0.0)
-        trade.set_xlabel("progress along the path (mm/s)")
-        trade.set_ylabel("mean distance to the path (mm)")
-        trade.set_title("No plan found is below the line")
-    return figure

@@ -109,7 +109,20 @@ class HistoryStudy(Found):
     seed: int
 
     def plot(self) -> Figure:
-        return history_figure(self.results)
+        """Draw errors one period ahead of three tables for each robot."""
+        with style.new_figure(9.0, 3.8) as figure:
+            places = np.arange(len(self.results))
+            for axes, (name, factor, label) in zip(figure.subplots(1, 2), _PANELS, strict=True):
+                for offset, (table, text, colour) in zip((-0.27, 0.0, 0.27), _BARS, strict=True):
+                    heights = [factor * getattr(result, table)[name] for result in self.results]
+                    bars = axes.bar(places + offset, heights, 0.25, color=colour, label=text)
+                    axes.bar_label(bars, [f"{height:.2g}" for height in heights], fontsize=7.5, padding=1)
+                axes.set_yscale("log")
+                axes.set_xticks(places, [_wrapped(result.variant) for result in self.results])
+                axes.set_ylabel(label)
+                axes.set_title(f"Affine tables of 64 KiB: {label.split(' (')[0]}")
+            style.legend_below(figure, axes, 3)
+        return figure
 
     def as_json(self) -> dict[str, Any]:
         return {"robots": [dataclasses.asdict(result) for result in self.results], "seed": self.seed}
@@ -133,23 +146,6 @@ _PANELS = (
     ("position_m", 1e3, "position error (mm)"),
     ("heading_rad", 180.0 / np.pi, "heading error (degrees)"),
 )
-
-
-def history_figure(results: Sequence[HistoryResult]) -> Figure:
-    """Draw errors one period ahead of three tables for each robot."""
-    with style.new_figure(9.0, 3.8) as figure:
-        places = np.arange(len(results))
-        for axes, (name, factor, label) in zip(figure.subplots(1, 2), _PANELS, strict=True):
-            for offset, (table, text, colour) in zip((-0.27, 0.0, 0.27), _BARS, strict=True):
-                heights = [factor * getattr(result, table)[name] for result in results]
-                bars = axes.bar(places + offset, heights, 0.25, color=colour, label=text)
-                axes.bar_label(bars, [f"{height:.2g}" for height in heights], fontsize=7.5, padding=1)
-            axes.set_yscale("log")
-            axes.set_xticks(places, [_wrapped(result.variant) for result in results])
-            axes.set_ylabel(label)
-            axes.set_title(f"Affine tables of 64 KiB: {label.split(' (')[0]}")
-        style.legend_below(figure, axes, 3)
-    return figure
 
 
 def _wrapped(text: str) -> str:

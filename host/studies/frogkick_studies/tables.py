@@ -61,7 +61,30 @@ class TableSizes(Found):
     seed: int = 0
 
     def plot(self) -> Figure:
-        return table_size_figure(self)
+        """Draw two errors against bytes, and the position error against library states."""
+        with style.new_figure(11.0, 4.4) as figure:
+            panels = figure.subplots(1, 3)
+            for axes, name in zip(panels, _UNIT, strict=False):
+                for kind in _COLOUR:
+                    points = [p for p in self.by_size if p.kind == kind]
+                    _curve(axes, points, [p.bytes / KIB for p in points], name)
+                axes.axvline(64, color=style.DESIRED, linewidth=0.8, linestyle=":")
+                axes.text(
+                    66, 0.99, "64 KiB", color=style.DESIRED, va="top", fontsize=7.5,
+                    transform=axes.get_xaxis_transform(),
+                )  # fmt: skip
+                axes.set_xlabel("table image (KiB)")
+                _finish(axes, name)
+            panels[0].set_title("Error one period ahead, by table size")
+            panels[1].set_title("The same for the heading")
+            nearest = [p for p in self.by_size if p.kind == "nearest"]
+            for points in (nearest, list(self.by_library)):
+                _curve(panels[2], points, [p.library_states for p in points], "position_m")
+            panels[2].set_xlabel("states of the library (each times all actions)")
+            panels[2].set_title("By library size (affine: 64 KiB)")
+            _finish(panels[2], "position_m")
+            style.legend_below(figure, panels[0], 4)
+        return figure
 
     def as_json(self) -> dict[str, Any]:
         affine = tuple(point for point in self.by_size if point.kind == "affine")
@@ -173,33 +196,6 @@ _UNIT = {
     "position_m": (1e3, "position error (mm)"),
     "heading_rad": (180.0 / np.pi, "heading error (degrees)"),
 }
-
-
-def table_size_figure(sizes: TableSizes) -> Figure:
-    """Draw two errors against bytes, and the position error against library states."""
-    with style.new_figure(11.0, 4.4) as figure:
-        panels = figure.subplots(1, 3)
-        for axes, name in zip(panels, _UNIT, strict=False):
-            for kind in _COLOUR:
-                points = [p for p in sizes.by_size if p.kind == kind]
-                _curve(axes, points, [p.bytes / KIB for p in points], name)
-            axes.axvline(64, color=style.DESIRED, linewidth=0.8, linestyle=":")
-            axes.text(
-                66, 0.99, "64 KiB", color=style.DESIRED, va="top", fontsize=7.5,
-                transform=axes.get_xaxis_transform(),
-            )  # fmt: skip
-            axes.set_xlabel("table image (KiB)")
-            _finish(axes, name)
-        panels[0].set_title("Error one period ahead, by table size")
-        panels[1].set_title("The same for the heading")
-        nearest = [p for p in sizes.by_size if p.kind == "nearest"]
-        for points in (nearest, list(sizes.by_library)):
-            _curve(panels[2], points, [p.library_states for p in points], "position_m")
-        panels[2].set_xlabel("states of the library (each times all actions)")
-        panels[2].set_title("By library size (affine: 64 KiB)")
-        _finish(panels[2], "position_m")
-        style.legend_below(figure, panels[0], 4)
-    return figure
 
 
 def _curve(axes: Axes, points: Sequence[TablePoint], along: Sequence[float], name: str) -> None:

@@ -22,8 +22,17 @@ from frogkick.robot import load_robot
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, states_for_timing
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
-from frogkick_studies.chip import LIMIT_MS, NODE, RUN, DepthSpeed, chip_speed, open_ms
-from frogkick_studies.chip_worst import dearest, fit_cycles
+from frogkick_studies.chip import (
+    LIMIT_MS,
+    NODE,
+    RUN,
+    DepthSpeed,
+    chip_speed,
+    cycles_of,
+    dearest,
+    fit_cycles,
+    open_ms,
+)
 
 PATHS = {name: shape(name) for name in SHAPES}
 ROBOT = load_robot("frog2022")
@@ -124,8 +133,9 @@ def test_the_model_knows_what_a_block_takes(small: Built) -> None:
     depth = 2
     timed = states_for_timing(tables, path, 300, np.random.default_rng(4))
     _, cycles = planner.plan(timed.states, np.full(300, depth), timed.limb_use, timed.along_points)
-    model = fit_cycles(tables.image, CONFIG, [(path, timed.part(0, 200), cycles[:200])], depth)
-    told = model.predict(tables.image, path, dataclasses.replace(CONFIG, depth=depth), timed.part(200, 100))
+    costs = fit_cycles(tables.image, CONFIG, [(path, timed.part(0, 200), cycles[:200])], depth)
+    settings = dataclasses.replace(CONFIG, depth=depth)
+    told = cycles_of(costs, tables.image, path, settings, timed.part(200, 100))
     np.testing.assert_allclose(told, cycles[200:], rtol=0.03)  # as the study says of its bound
     spread = cycles[200:].std() / cycles[200:].mean()
     assert (told / cycles[200:] - 1.0).std() < spread / 5

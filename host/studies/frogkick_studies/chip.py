@@ -1,7 +1,12 @@
 """Time that the chip takes to plan: cycles of the flashed image over many states and paths.
 
 Up to ``RUN`` states of a depth are all run on the virtual chip. Of more states that number is run: half of
-them random, then the most expensive ones by a model of the planner's blocks; see frogkick_studies.chip_worst.
+them random, then the most expensive ones by a model. By the model the cycles of a decision are, over the
+blocks of the planner's code, the executions of a block times its cost; the content of the instruction cache
+adds a little. The executions are counted for each state by the same C on this computer. The costs of the
+blocks are fitted to states that the virtual chip has run, and the fit's error is measured on other such
+states. Every reported time was counted on the virtual chip: the model selects states, and bounds those that
+were not run.
 """
 
 from __future__ import annotations
@@ -15,20 +20,20 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int64
+from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.progress import shown
 from frogkick.front.places import built_firmware, plan_config
 from frogkick.front.tables import robot_of_table, table_image
 from frogkick.paths import SHAPES, shape
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick.pool.chip.cost import LEAST_COST, CostModel
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, TimedStates, states_for_timing
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import require_tools
+from frogkick_codegen.native import BlockCounter
 from frogkick_studies import Found
-from frogkick_studies.chip_worst import CycleModel, dearest, fit_cycles
 from frogkick_studies.configs import Chip
 
 LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
@@ -41,6 +46,9 @@ RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
 HALF_WORN = (16384,)
 """What each limb has lost of its contribution, of 32767: worn limbs take the longest to plan with."""
 _CHUNK = 50
+_RIDGE = 1e-3
+"""Ridge of the model's fit, relative to a block's largest share: many blocks always run together."""
+_BATCH = 2000
 
 
 @dataclass(frozen=True)
@@ -101,11 +109,8 @@ class _Chunk:
 
 @dataclass(frozen=True, eq=False)
 class _Counted:
-    depth: int
-    path_name: str
+    chunk: _Chunk
     cycles: Int64
-    timed: TimedStates
-    at_random: bool
     functions: tuple[tuple[str, int, int, float], ...]
 
 
@@ -130,7 +135,7 @@ def _count(_ready: object, chunk: _Chunk) -> _Counted:
     depths = np.full(len(timed.states), chunk.depth, dtype=np.int32)
     _, cycles = planner.plan(timed.states, depths, timed.limb_use, timed.along_points)
     functions = tuple((f.name, f.calls, f.instructions, f.cycles) for f in profile.functions())
-    return _Counted(chunk.depth, chunk.path_name, cycles, timed, chunk.at_random, functions)
+    return _Counted(chunk, cycles, functions)
 
 
 def chip_speed(
@@ -157,11 +162,11 @@ def chip_speed(
     found = study.run(study.at_random())
     speeds = {}
     for depth in counts:
-        mine = [one for one in found if one.depth == depth]
+        mine = [one for one in found if one.chunk.depth == depth]
         error, unrun_ms = 0.0, 0.0
         if counts[depth] > RUN[depth]:
-            model = study.model(depth, mine)
-            others = {name: study.others(depth, name, model) for name in paths}
+            costs = study.costs(depth, mine)
+            others = {name: study.others(depth, name, costs) for name in paths}
             mine += study.run(
                 [
                     chunk
@@ -169,7 +174,7 @@ def chip_speed(
                     for chunk in study.cut(depth, name, timed.chosen(places), at_random=False)
                 ]
             )
-            error = study.error(depth, mine, model)
+            error = study.error(depth, mine, costs)
             most = max(float(np.delete(cycles, places).max()) for _, cycles, places in others.values())
             unrun_ms = most * (1.0 + error) / CYCLES_PER_MS
         speed = _summary(mine, study.count(depth) * len(paths), error, unrun_ms)
@@ -211,7 +216,7 @@ class _Study:
         found = []
         for _, counted in run_chunks(job, chunks, self.workers):
             found.append(counted)
-            self._done += len(counted.timed.states)
+            self._done += len(counted.cycles)
             self.progress(min(self._done, whole), whole)
         return found
 
@@ -239,28 +244,26 @@ class _Study:
                 chunks += self.cut(depth, name, timed, at_random=True)
         return chunks
 
-    def model(self, depth: int, ran: Sequence[_Counted]) -> CycleModel:
+    def costs(self, depth: int, ran: Sequence[_Counted]) -> Float64:
         """Return the cycles of blocks, fitted to half of the states that were run at random."""
         halves = [(one, len(one.cycles) // 2) for one in ran]
-        runs = [
-            (self.paths[one.path_name], one.timed.part(0, half), one.cycles[:half]) for one, half in halves
-        ]
+        runs = [(one.chunk.path, one.chunk.timed.part(0, half), one.cycles[:half]) for one, half in halves]
         return fit_cycles(self.tables.image, self.config, runs, depth)
 
-    def error(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> float:
+    def error(self, depth: int, ran: Sequence[_Counted], costs: Float64) -> float:
         """Return the model's largest relative error over states that it was not fitted to."""
         settings, error = dataclasses.replace(self.config, depth=depth), 0.0
         for one in ran:
-            fitted = len(one.cycles) // 2 if one.at_random else 0
-            predicted = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
+            fitted = len(one.cycles) // 2 if one.chunk.at_random else 0
+            predicted = cycles_of(costs, self.tables.image, one.chunk.path, settings, one.chunk.timed)
             error = max(error, float(np.abs(one.cycles / predicted - 1.0)[fitted:].max()))
         return error
 
-    def others(self, depth: int, name: str, model: CycleModel) -> tuple[TimedStates, Float64, Int64]:
+    def others(self, depth: int, name: str, costs: Float64) -> tuple[TimedStates, Float64, Int64]:
         """Return the states not run at random, their cycles by the model, and the places of the dearest."""
         timed = self.states(depth, name).part(self.first(depth), self.count(depth))
         settings = dataclasses.replace(self.config, depth=depth)
-        predicted = model.predict(self.tables.image, self.paths[name], settings, timed)
+        predicted = cycles_of(costs, self.tables.image, self.paths[name], settings, timed)
         return timed, predicted, dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
 
     def cut(self, depth: int, name: str, timed: TimedStates, at_random: bool) -> list[_Chunk]:
@@ -274,11 +277,11 @@ class _Study:
 
 def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: float) -> DepthSpeed:
     cycles = np.concatenate([part.cycles for part in parts])
-    beyond = np.concatenate([part.timed.beyond for part in parts])
-    some = [part for part in parts if part.at_random]
+    beyond = np.concatenate([part.chunk.timed.beyond for part in parts])
+    some = [part for part in parts if part.chunk.at_random]
     number = sum(len(part.cycles) for part in some)
     worst = max(parts, key=lambda part: int(part.cycles.max()))
-    at = int(worst.cycles.argmax())
+    at, timed = int(worst.cycles.argmax()), worst.chunk.timed
     totals: dict[str, list[float]] = {}
     for part in some:
         for name, calls, instructions, spent in part.functions:
@@ -300,16 +303,64 @@ def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: flo
         },
         model_error=error,
         unrun_ms=unrun_ms,
-        worst_path=worst.path_name,
-        worst_state=tuple(worst.timed.states[at].tolist()),
-        worst_limb_use=tuple(worst.timed.limb_use[at].tolist()),
-        worst_along_points=float(worst.timed.along_points[at]),
+        worst_path=worst.chunk.path_name,
+        worst_state=tuple(timed.states[at].tolist()),
+        worst_limb_use=tuple(timed.limb_use[at].tolist()),
+        worst_along_points=float(timed.along_points[at]),
         nodes=nodes / number,
         instructions_per_node=instructions_all / max(nodes, 1.0),
         shares=tuple(
             Share(name, 100.0 * totals[name][2] / spent_all, totals[name][0] / number) for name in ordered
         ),
     )
+
+
+def fit_cycles(
+    image: bytes, config: PlanConfig, runs: Sequence[tuple[PathLike, TimedStates, Int64]], depth: int
+) -> Float64:
+    """Return the (blocks,) cost of each block, of least relative squares.
+
+    Args:
+        image: table image.
+        config: configuration of the planner; its depth is not used.
+        runs: path, states and the (k,) cycles on the chip.
+        depth: depth of all runs.
+    """
+    counter, settings = BlockCounter(), dataclasses.replace(config, depth=depth)
+    blocks = np.concatenate([_blocks(counter, image, path, settings, timed) for path, timed, _ in runs])
+    cycles = np.concatenate([one for _, _, one in runs]).astype(np.float64)
+    parts = blocks / cycles[:, np.newaxis]
+    size = parts.max(axis=0)
+    size[size == 0.0] = 1.0
+    parts = parts / size
+    matrix = parts.T @ parts + _RIDGE**2 * np.eye(len(size))
+    return np.asarray(np.linalg.solve(matrix, parts.sum(axis=0)) / size)
+
+
+def cycles_of(
+    costs: Float64, image: bytes, path: PathLike, config: PlanConfig, timed: TimedStates
+) -> Float64:
+    """Return the (k,) cycles of decisions by the costs of blocks, at the configuration's depth."""
+    counter = BlockCounter()
+    parts = [timed.part(at, _BATCH) for at in range(0, len(timed.states), _BATCH)]
+    return np.concatenate([_blocks(counter, image, path, config, part) @ costs for part in parts])
+
+
+def _blocks(
+    counter: BlockCounter, image: bytes, path: PathLike, config: PlanConfig, timed: TimedStates
+) -> Float64:
+    counted = counter.count(image, path, config, timed.states, timed.limb_use, timed.along_points)
+    return counted.astype(np.float64)
+
+
+def dearest(predicted: Float64, beyond: Float32, number: int) -> Int64:
+    """Return the indices of about ``number`` states: the most expensive of all, and of each reach."""
+    kinds = np.unique(beyond)
+    order = np.argsort(-predicted, kind="stable")
+    each = max(1, number // (2 * len(kinds)))
+    found = [order[: number - each * len(kinds)]]
+    found += [order[beyond[order] == kind][:each] for kind in kinds]
+    return np.unique(np.concatenate(found))
 
 
 _DEAREST = 12

@@ -234,14 +234,8 @@ def flash_firmware(
 ) -> dict[str, Any]:
     """Flash the bench image into a development kit through its debug probe.
 
-    Args:
-        image: Intel HEX, ``bench.hex`` of a build; None: built around ``table``.
-        table, robot: as for ``try_firmware``.
-        probe: serial number of the debug probe, if several are plugged in.
-        progress: True for a bar, or a function of (done, all).
-
-    Returns:
-        The keys of the command ``firmware flash``: name of the probe, bytes of the image.
+    The arguments are the options of the command ``firmware flash``. Returned are the keys that it prints: the
+    probe's name, the image's bytes.
     """
     if image is not None and table is not None:
         raise InputError("give either --image or --tables, not both: an image already contains its table")

@@ -99,17 +99,8 @@ def calibrate_camera(
 ) -> Calibrated:
     """Calibrate from the pool's four corners or a board on the water's plane; the lens from a board.
 
-    Args:
-        pool_m: length and width of the pool.
-        tag: the tag on the robot; the refraction of the water is corrected here.
-        corners: file (.toml, .csv) of the pool's corners in pixels: (0, 0), (L, 0), (L, W), (0, W).
-        plane_picture: picture of the board lying on the water's plane, instead of ``corners``.
-        image_px: width and height of the pictures; needed with ``corners`` and without ``pictures``.
-        height_m: height of corners or board above the water; negative if below.
-        camera_height_m: measured height of the camera above the water; not needed with a board.
-        board: the printed board of ``pictures`` and ``plane_picture``.
-        pictures: folder of pictures of the board, to calibrate the lens; None: the lens is taken as perfect.
-        board_at_m: x and y of the board's first inner corner in the pool; its rows run along the pool.
+    The arguments are the options of the command ``camera calibrate``, in m and px; ``height_m`` is that of
+    corners or board above the water. The refraction of the water is corrected in ``tag``.
     """
     if (corners is None) == (plane_picture is None):
         raise InputError(
@@ -153,14 +144,7 @@ def calibrate_camera(
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Errors of a camera over the pool.
-
-    Attributes:
-        calibration: the calibration that was checked.
-        source: source of the known places: "points", "places" or "rendered".
-        found: each place in the pool's frame and the camera's error there.
-        limit_mm, limit_deg: the largest errors allowed.
-    """
+    """Errors of a camera over the pool at known places: marked points, pictures, or rendered ones."""
 
     calibration: Calibration
     source: str
@@ -246,21 +230,7 @@ def check_camera(
     limit_mm: float = 1.0,
     limit_deg: float = 0.5,
 ) -> CameraCheck:
-    """Map a camera's errors over the pool.
-
-    Without points and places the pictures are rendered, with the calibration taken as true. They show the
-    best that camera, pool and tag can reach. Marked points and tags at known poses show the error of the
-    calibration itself.
-
-    Args:
-        calibration: file that ``Calibrated.save`` wrote.
-        points: marked points: CSV with x_px, y_px, x_m, y_m.
-        places: pictures of the tag at known poses: CSV with image, x_m, y_m, heading_deg.
-        tags: rendered places of the tag along and across the pool, 1 to 50 each.
-        conditions: disturbances of the rendered pictures; None: the defaults.
-        seed: seed of noise and waves.
-        limit_mm, limit_deg: the largest errors allowed.
-    """
+    """Map a camera's errors over the pool; the arguments are the options of the command ``camera check``."""
     known = read_calibration(Path(calibration))
     if points is not None and places is not None:
         raise InputError("--points and --places are two different checks: give only one of the two")
@@ -278,17 +248,11 @@ def check_camera(
 
 @dataclass(frozen=True)
 class CameraTracked:
-    """The fixes that a camera gave of the tag under it.
-
-    Attributes:
-        fixes: number of fixes.
-        reasons: number of pictures with a fix (``found``), and by each reason without one.
-        seconds: from the first fix's picture to the last one's.
-    """
+    """The fixes that a camera gave of the tag under it."""
 
     fixes: int
-    reasons: dict[str, int]
-    seconds: float
+    reasons: dict[str, int]  # number of pictures with a fix ("found"), and by each reason without one
+    seconds: float  # from the first fix's picture to the last one's
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``camera track``."""
@@ -310,11 +274,7 @@ def track_camera(
 ) -> CameraTracked:
     """Find the tag in a camera's pictures, without a robot, until they end, the time is up, or Ctrl-C.
 
-    Args:
-        calibration, source: as for ``Camera``.
-        seconds: duration from the first picture on; None: to the end.
-        view: draw pictures, tag and fixes in the browser.
-        each: called with each fix: pose in the pool's frame (m, m, rad), times of its picture and arrival, s.
+    The arguments are the options of the command ``camera track``; ``each`` is called with each fix.
     """
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise InputError(f"the duration is {seconds} s: give more than 0")
@@ -342,12 +302,7 @@ def track_camera(
 
 
 def take_picture(file: Path | str, source: str = "0") -> tuple[int, int]:
-    """Write a camera's picture, or the first one of a video or a folder; return its width and height, px.
-
-    Args:
-        file: .png or .jpg.
-        source: as for ``Camera``.
-    """
+    """Write a camera's picture, or the first one of a video or a folder; return its width and height, px."""
     target = Path(file)
     if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise InputError(f"picture {str(file)!r} ends in {target.suffix!r}: give a name in .png or .jpg")
@@ -367,13 +322,7 @@ def take_picture(file: Path | str, source: str = "0") -> tuple[int, int]:
 def write_tag(
     file: Path | str, *, family: str = "tag36h11", tag_id: int = 0, size_m: float = 0.047
 ) -> tuple[float, float]:
-    """Write a page with a tag at true scale, a forward arrow and a ruler; return its width and height, m.
-
-    Args:
-        file: .pdf, .svg or .png.
-        family, tag_id: family of the tag and its number there.
-        size_m: side of the black square of tag36h11, or of the white square of tagStandard41h12.
-    """
+    """Write a page with a tag at true scale, a forward arrow and a ruler; return its width and height, m."""
     from frogkick.report.camera_figure import write_tag_page
 
     cells = tag_cells(family, tag_id)

@@ -75,10 +75,8 @@ def describe(robot: Robot) -> dict[str, Any]:
 def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | None = None) -> Robot:
     """Write a robot file to start from, with all keys of another robot and a comment on each, and read it.
 
-    Args:
-        file: TOML file to write, which must not exist; its name without the ending is the robot's id.
-        base: the robot to start from, its name or its TOML file. Its effects are not copied.
-        limbs: number of limbs to keep, from the first, with the actions that they allow; None: all.
+    The file must not exist; its name without the ending is the robot's id. The first ``limbs`` limbs of
+    ``base`` are kept (None: all), with the actions that they allow, but none of its effects.
     """
     require_writable(file)
     if file.exists():
@@ -133,12 +131,7 @@ def fit_strokes(
 ) -> FittedStrokes:
     """Fit limb profiles to measured strokes, a CSV file for each frequency.
 
-    Args:
-        files: columns ``time_s,curvature_per_m``, or ``time_s,tip_x_m,tip_y_m`` of the tip from the
-            root, x along the limb's tangent there; one cycle that starts with the pulse.
-        egain_percent: EGaIn fraction of the limb's alloy, %.
-        frequency_hz: strokes per second; None: one over the last time of each file.
-        length_m: length of the limb, needed if the tip was tracked.
+    The arguments are the options of the command ``robot fit-stroke``.
     """
     strokes = [read_stroke(file, length_m) for file in files]
     profiles = [fit_stroke(stroke, egain_percent, frequency_hz) for stroke in strokes]

@@ -30,15 +30,8 @@ def demonstrate(
 ) -> tuple[Ring, Path]:
     """Simulate, make tables, build the firmware and swim on the virtual chip; then identify a worn limb.
 
-    Args:
-        out: folder for all results: library, tables, C, firmware, logs and two pages.
-        robot: the robot, its name or its TOML file.
-        states: number of initial velocities of the library, 10 to 2000; None: as for the default table.
-        depth: periods to look ahead, 1 to 4; None: the robot's own.
-        seed: seed of the sampling, of the camera's noise, and of the limb that is worn.
-
-    Returns:
-        The results, and the page that shows them.
+    The arguments are the options of the command ``demo``. Returned are the results, and the page that shows
+    them.
     """
     described = load_robot(robot)
     folder = Path(out)

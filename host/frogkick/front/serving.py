@@ -247,18 +247,9 @@ def served_pool(
 ) -> Iterator[ServedPool]:
     """Open a pool with a simulated robot that lives in real time, as long as the context lives.
 
-    Args:
-        table: table in the robot's firmware, or its file; None: the robot's default table.
-        model: the robot, its name or its TOML file; None: the table's own.
-        robot: "pool" (the C core on this computer) or "virtual" (the firmware on the virtual chip).
-        world: effects that act in the pool but are in no model, or their TOML file.
-        camera: calibration whose camera, pool and tag are rendered; None: the pool of 1.2 x 0.9 m of the
-            documentation.
-        begin: where the robot lies at first: "X,Y,DEG" (m, degrees); None: on the left, pointing along x.
-        flash: file that keeps what outlives a loss of power; it is read first if it is there.
-        line: name for the serial port, a link to it; None: it is called as this system calls it.
-        port: TCP port of the camera's pictures; 0: a free one.
-        seed: seed of the pictures' noise and of random effects.
+    ``robot`` is "pool" (the C core on this computer) or "virtual" (the firmware on the virtual chip). The
+    other arguments are the options of the command ``pool``; ``seed`` is that of the pictures' noise and of
+    random effects.
     """
     require_pseudo_terminals()
     require_simulator(robot)

@@ -139,7 +139,7 @@ def open_loop(
     train: Sequence[float] = (),
     test: Sequence[float] = (),
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
     test_folder: Path | None = None,
 ) -> OpenLoop:
     """Fit effects to some groups of measured swims, and predict the others.
@@ -160,7 +160,11 @@ def open_loop(
     splits = []
     for place, (kind, name, own, tested) in enumerate(plans):
         simulation = Simulation(robot, validation.profiles.profiles, workers)
-        fitted = fit_rows(simulation, own, _of_split(progress, place, len(plans)))
+
+        def tell(done: int, before: int = place * MOST_EFFECTS) -> None:
+            progress(before + done, len(plans) * MOST_EFFECTS)
+
+        fitted = fit_rows(simulation, own, tell)
         there = simulation
         if test_folder is not None:
             there = Simulation(robot, other.profiles.profiles, workers)
@@ -175,14 +179,6 @@ def _predicted(
 ) -> tuple[Predicted, ...]:
     speeds = simulation.speeds([fitted.tables], [row.case.gait for row in rows])[0]
     return tuple(Predicted(row, float(speed)) for row, speed in zip(rows, speeds, strict=True))
-
-
-def _of_split(
-    progress: Callable[[int, int], None] | None, before: int, splits: int
-) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    return lambda done: progress(before * MOST_EFFECTS + done, splits * MOST_EFFECTS)
 
 
 class _Fit:
@@ -274,7 +270,9 @@ class _Fit:
 
 
 def fit_rows(
-    simulation: Simulation, rows: Sequence[ExperimentResult], progress: Callable[[int], None] | None = None
+    simulation: Simulation,
+    rows: Sequence[ExperimentResult],
+    progress: Callable[[int], None] = lambda _done: None,
 ) -> Fitted:
     """Choose and fit effects from some swims.
 
@@ -295,8 +293,7 @@ def fit_rows(
             after = fit.left_out(tried)
             if best is None or _worst(after) < best[0]:
                 best = (_worst(after), tried, after)
-        if progress is not None:
-            progress(taken + 1)
+        progress(taken + 1)
         if best is None:
             break
         gains = {way: gain_of(errors[way], best[2][way]) for way in errors}
@@ -307,8 +304,7 @@ def fit_rows(
         _, frees, errors = best
         scores.append(_worst(errors))
         point = fit.fit(frees, _begin(fit, frees, (), np.empty(0)))
-    if progress is not None:
-        progress(MOST_EFFECTS)
+    progress(MOST_EFFECTS)
     return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps, tuple(iterations))
 
 

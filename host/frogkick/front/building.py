@@ -103,13 +103,8 @@ def measure_emitted(
 ) -> Figures:
     """Generate the C code of a table, build it for the chip, and measure it.
 
-    The same table gives the same figures on every machine.
-
-    Args:
-        image: table image.
-        config: weights; None: the paper's.
-        states: depth -> number of decisions to time.
-        progress: called with the decisions done and their total.
+    The same table gives the same figures on every machine. Without ``config`` the weights are the paper's;
+    ``states`` is the number of decisions to time at each depth.
     """
     # These cannot be loaded without the extra.
     from frogkick.pool.chip.image import Layouts, load_image

@@ -228,12 +228,8 @@ def walled(
 ) -> PlanConfig:
     """Return a planner's configuration that keeps the robot between walls.
 
-    Args:
-        config: without them.
-        inside: x and y of a corner of the pool and of the opposite one, m, world; "pool": of the camera's
-            calibration; None: there are no walls.
-        table: of the robot, whose reach keeps its distance from each wall.
-        fixes: the calibration's file.
+    ``inside`` is x and y of a corner of the pool and of the opposite one (m, world), "pool" for those of the
+    calibration's file ``fixes``, or None for no walls. The robot's reach keeps its distance from each wall.
     """
     if inside is None:
         return config

@@ -59,10 +59,8 @@ def simulated_robot(
 ) -> Iterator[RobotPort]:
     """Return a simulated robot: "virtual" (image on the virtual chip) or "pool" (core on this computer).
 
-    Args:
-        name, tables, robot: which of the two, its table image, and the robot of the table.
-        meanwhile: called while the compiler runs in another process, so that a second core is used.
-        learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
+    ``meanwhile`` is called while the compiler runs in another process, so that a second core is used.
+    ``learned`` is what the robot kept of its limbs' wear (``kept_wear``).
     """
     require_simulator(name)
     with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:

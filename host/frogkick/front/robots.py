@@ -236,12 +236,7 @@ def push_table(
 ) -> Pushed:
     """Send a table to a robot, real or virtual.
 
-    Args:
-        target: address of the robot.
-        table: the table to send.
-        carried: table that the robot must have now, if given; a virtual robot starts with it.
-        progress: of the bytes sent.
-        key: file of the owner's key.
+    If ``carried`` is given, the robot must have that table now; a virtual robot starts with it.
     """
     image, before = read_image(table), None if carried is None else read_image(carried)
     with ExitStack() as stack:

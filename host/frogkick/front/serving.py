@@ -58,12 +58,9 @@ class ServedRobot:
         pool: Pool,
         flash: bytes | None = None,
     ) -> None:
-        """Switch the robot on.
+        """Switch the robot on, at rest in the pool.
 
-        Args:
-            switch_on: makes a robot whose clock is 0, from what its flash holds; None: as it was flashed.
-            pool: with the robot at rest in it.
-            flash: what its flash holds.
+        ``switch_on`` makes a robot whose clock is 0, from what its flash holds; None: as it was flashed.
         """
         self._switch_on, self._pool = switch_on, pool
         self._lock = threading.Lock()

@@ -83,12 +83,7 @@ def _velocity(given: Sequence[float]) -> list[float]:
 
 
 def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
-    """Return actions by name.
-
-    Args:
-        robot: the robot of the actions.
-        actions: names in one text, separated by commas (single letters need none), or a sequence.
-    """
+    """Return actions by their names: in one text with commas (single letters need none), or a sequence."""
     if isinstance(actions, str):
         names = [name.strip() for name in actions.split(",")]
         known = {action.name.upper() for action in robot.actions}

@@ -136,10 +136,7 @@ def read_facts(file: Path | str) -> dict[str, Any]:
 def default_tables(robot: Robot | str, states: int | None = None, sampling: str = SAMPLING) -> Path:
     """Return the path of a robot's table image, which is built on first use (about a minute).
 
-    Args:
-        robot: the robot, its TOML file or its built-in name.
-        states: number of states of its library; None = ``STATES``.
-        sampling: how these are drawn; see ``build_library``.
+    ``states`` (None: ``STATES``) and ``sampling`` are those of its library.
     """
     robot = load_robot(robot)
     states = STATES if states is None else states
@@ -185,10 +182,7 @@ def table_image(file: Path | str | None, robot: Robot | str | None) -> Path:
 def robot_of_table(file: Path, robot: Robot | str | None = None, opened: Tables | None = None) -> Robot:
     """Return a table's robot: the given one, if it fits, else a built-in one, or ID.toml beside the file.
 
-    Args:
-        file: the table image.
-        robot: the robot, its name or its TOML file; None: the one that the image names.
-        opened: the image, if it has been read.
+    ``opened`` is the image, if it has been read.
     """
     tables = opened or read_image(file)
     if robot is None and tables.robot_id not in built_in_robots():

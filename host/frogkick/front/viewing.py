@@ -38,11 +38,9 @@ def viewed(
 ) -> Iterator[Callable[[Recording], None]]:
     """Yield the function that shows a growing recording; a simulated pool is slowed to real time.
 
-    Args:
-        wanted: False: there is no page, and nothing is slowed.
-        recording: of the run that is to begin.
-        camera: camera over a real pool, whose pictures are shown; None: the pool is drawn.
-        stop: called from another thread when the page's button is pressed; None: there is no button.
+    Unless it is ``wanted``, there is no page, and nothing is slowed. With a camera its pictures are shown,
+    else the pool is drawn. ``stop`` is called from another thread when the page's button is pressed; None:
+    there is no button.
     """
     if not wanted:
         yield lambda _recording: None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -69,11 +70,7 @@ def convergence(
         The curve of the strokes and the curve of the gaits.
     """
     robot = replace(robot, effects=())  # the error of the rods alone
-    gaits = _gaits(robot)[::every]
-
-    def gait_speeds(robot: Robot, step_s: float) -> Float64:
-        return _gait_speeds(robot, gaits, step_s)
-
+    gait_speeds = partial(_gait_speeds, _gaits(robot)[::every])
     done, whole = 0, 2 * (len(STEPS_S) + 1)
     curves = []
     for name, measure in (("strokes", _stroke_distances), ("gaits", gait_speeds)):
@@ -99,7 +96,7 @@ def _stroke_distances(robot: Robot, step_s: float) -> Float64:
     return np.hypot(motions.pose_world[:, -1, 0], motions.pose_world[:, -1, 1])
 
 
-def _gait_speeds(robot: Robot, gaits: Sequence[Gait], step_s: float) -> Float64:
+def _gait_speeds(gaits: Sequence[Gait], robot: Robot, step_s: float) -> Float64:
     swum = simulate_gaits(robot, gaits, GAIT_CYCLES, step_s=step_s)
     _no_failures(result for result in swum if not isinstance(result, Trajectory))
     return np.array([result.speed_mps for result in swum if isinstance(result, Trajectory)])

@@ -238,11 +238,6 @@ class ForesightStudy(Found):
     plans: Sequence[Foreseen]
     at_least_mps: float | None = None
 
-    @property
-    def nearest_m(self) -> float | None:
-        """Mean distance of the nearest plan of ``at_least_mps``; None if none is so fast."""
-        return nearest_at(self.plans, self.at_least_mps or 0.0)
-
     def plot(self) -> Figure:
         """Draw the tracks of the fastest and the nearest plan, and distance against progress of all."""
         with style.new_figure(10.0, 4.2) as figure:
@@ -283,7 +278,8 @@ class ForesightStudy(Found):
         ]
         values: dict[str, Any] = {"path": self.name, "plans": rows}
         if self.at_least_mps is not None:
-            values |= {"at_least_mps": self.at_least_mps, "nearest_m": self.nearest_m}
+            nearest_m = nearest_at(self.plans, self.at_least_mps)
+            values |= {"at_least_mps": self.at_least_mps, "nearest_m": nearest_m}
         return values
 
     def text(self, values: dict[str, Any]) -> str:

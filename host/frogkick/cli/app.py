@@ -13,59 +13,26 @@ import frogkick
 from frogkick.core.interrupts import ctrl_c_waits
 
 ROBOT_COMMANDS = {
-    "list": ("start:list_robots", "List the built-in robots."),
-    "new": ("start:new_robot", "Write a complete robot file to start from, with a comment on every key."),
-    "fit-stroke": (
-        "start:fit_stroke",
-        "Fit limb profiles to measured strokes: how the curvature falls and recovers.",
-    ),
-    "show": (
-        "start:show_robot",
-        "Show a robot in numbers, and draw it as it is simulated: nodes, frame, limbs at rest and active.",
-    ),
-    "frames": (
-        "start:draw_frames",
-        "Draw the frames and units that files, options and logs use: pool, robot, tag and heights.",
-    ),
+    "list": "start:list_robots",
+    "new": "start:new_robot",
+    "fit-stroke": "start:fit_stroke",
+    "show": "start:show_robot",
+    "frames": "start:draw_frames",
 }
-LIBRARY_COMMANDS = {
-    "build": ("make:build_library", "Simulate every action from each of many initial velocities."),
-    "info": ("make:show_library", "Show what a library holds."),
-}
-TABLES_COMMANDS = {
-    "build": (
-        "make:build_table",
-        "Make a table image, and measure its error on states that are not in it.",
-    ),
-    "info": (
-        "make:show_table",
-        "Check a table image, show what it holds, and measure its error on unseen states.",
-    ),
-}
+LIBRARY_COMMANDS = {"build": "make:build_library", "info": "make:show_library"}
+TABLES_COMMANDS = {"build": "make:build_table", "info": "make:show_table"}
 FIRMWARE_COMMANDS = {
-    "build": ("make:build_firmware", "Build the firmware around a table image."),
-    "size": ("make:measure_firmware", "Measure flash, RAM and stack of the bench image."),
-    "flash": (
-        "make:flash_firmware",
-        "Flash the bench image into a development kit through its debug probe.",
-    ),
-    "test": (
-        "make:check_firmware",
-        "Boot the image on the virtual chip and test every command, stroke and limit.",
-    ),
+    "build": "make:build_firmware",
+    "size": "make:measure_firmware",
+    "flash": "make:flash_firmware",
+    "test": "make:check_firmware",
 }
 CAMERA_COMMANDS = {
-    "calibrate": (
-        "camera:calibrate",
-        "Calibrate the camera from the pool's four corners, or from a board that lies on the water's plane.",
-    ),
-    "check": ("camera:check", "Map the position errors over the pool, in mm."),
-    "track": ("camera:track", "Print the tag's pose in each picture."),
-    "picture": ("camera:picture", "Take a picture, in which the pool's corners can be found."),
-    "tag": (
-        "camera:tag_page",
-        "Write a page with the tag at true scale, an arrow that points forward, and a ruler.",
-    ),
+    "calibrate": "camera:calibrate",
+    "check": "camera:check",
+    "track": "camera:track",
+    "picture": "camera:picture",
+    "tag": "camera:tag_page",
 }
 LOG_COMMANDS = {
     "show": ("log:show_run", "Show a run in numbers and in one picture."),
@@ -128,7 +95,8 @@ SECTIONS: dict[str, dict[str, tuple[Any, str]]] = {
 }
 """Section of the help -> its commands by their names: the place in this package, and one line of help.
 
-The place is ``module:name`` of a function, the module of all studies, or the commands of a group.
+The place is ``module:name`` of a function, the module of all studies, or the commands of a group. A command
+of a group that has no line of its own is listed with the first sentence of its help.
 """
 COMMANDS = {name: command for section in SECTIONS.values() for name, command in section.items()}
 LONGER = {
@@ -150,7 +118,7 @@ class LazyGroup(TyperGroup):
         """Load a command and return it, or None if no command has that name."""
         if cmd_name not in self.table:
             return None
-        place, text = self.table[cmd_name]
+        place, text = _entry(self.table[cmd_name])
         if isinstance(place, dict):
             return typer.main.get_command(_group(cmd_name, LONGER.get(cmd_name, text), place))
         name, _, attribute = place.partition(":")
@@ -169,7 +137,17 @@ class LazyGroup(TyperGroup):
         sections = SECTIONS if self.table is COMMANDS else {"Commands": self.table}
         for title, commands in sections.items():
             with formatter.section(title):
-                formatter.write_dl([(name, command[1]) for name, command in commands.items()])
+                formatter.write_dl(
+                    [
+                        (name, _entry(entry)[1] or self.get_command(ctx, name).get_short_help_str(limit=200))
+                        for name, entry in commands.items()
+                    ]
+                )
+
+
+def _entry(entry: str | tuple[Any, str]) -> tuple[Any, str]:
+    """Return the place and the line of help of a command."""
+    return (entry, "") if isinstance(entry, str) else entry
 
 
 def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:

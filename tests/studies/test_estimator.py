@@ -19,11 +19,12 @@ from frogkick_studies import bad_fixes as study
 from frogkick_studies.bad_fixes import (
     METHODS,
     Condition,
-    DifferenceEstimator,
-    LineEstimator,
+    FromLastFixes,
     Outcome,
     compare_estimators,
     conditions,
+    last_difference,
+    line_through,
 )
 from frogkick_studies.estimator import EstimatorStudy
 
@@ -35,7 +36,7 @@ def pose(*values: float) -> np.ndarray:
 
 
 def test_the_difference_of_two_fixes_by_hand() -> None:
-    method = DifferenceEstimator()
+    method = FromLastFixes(last_difference)
     assert method.newest_capture_us is None and method.at(0) is None
     assert method.add(1_000_000, pose(0.10, 0.2, 3.1), 1) == 0
     found = method.at(1_000_000)
@@ -54,7 +55,7 @@ def test_the_difference_of_two_fixes_by_hand() -> None:
 
 
 def test_the_line_by_hand() -> None:
-    method = LineEstimator()
+    method = FromLastFixes(line_through)
     for index, x in enumerate((5.0, 0.0, 0.001, 0.003)):  # the first is older than a quarter second
         assert method.add(1_000_000 + (0, 300_000, 400_000, 500_000)[index], pose(x, 0.0, 0.0), index) == 0
     found = method.at(1_600_000)

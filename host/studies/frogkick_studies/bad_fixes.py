@@ -4,7 +4,6 @@ loop."""
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as Folder
@@ -40,10 +39,12 @@ LINE_FIXES_MAX = 8
 LINE_WINDOW_S = 0.25
 
 
-class _FromLastFixes(ABC):
+class FromLastFixes:
     """An estimator that keeps the last fixes in order of capture, and ignores strokes."""
 
-    def __init__(self) -> None:
+    def __init__(self, state: Callable[[Float64, Float64, Float64, float], tuple[Float64, Float64]]) -> None:
+        """``state`` returns pose and velocity (3,), world frame, such as ``line_through``."""
+        self._state = state
         self._fixes: list[tuple[int, Float64, int]] = []
 
     @property
@@ -68,54 +69,46 @@ class _FromLastFixes(ABC):
         """Return the state at a time; None if no fix is near enough to it."""
         if not self._fixes or not -FUTURE_US <= at_us - self._fixes[-1][0] <= STALE_US:
             return None
-        pose, speed = self._state((at_us - self._fixes[-1][0]) * 1e-6)
+        newest_us, newest, _ = self._fixes[-1]
+        time_s = np.array([(time_us - newest_us) * 1e-6 for time_us, _, _ in self._fixes])
+        poses = np.array([pose - newest for _, pose, _ in self._fixes])
+        poses[:, 2] = np.angle(np.exp(1j * poses[:, 2]))
+        pose, speed = self._state(newest, time_s, poses, (at_us - newest_us) * 1e-6)
         heading = wrap_angle(pose[2])
         state = [*pose[:2], heading, *body_from_world(heading, np.asarray(speed))]
         use = np.zeros(8, dtype=np.uint16)
         return Estimate(np.array(state, dtype=np.float32), use, self._fixes[-1][2], len(self._fixes))
 
-    @abstractmethod
-    def _state(self, lead_s: float) -> tuple[Float64, Float64]:
-        """Return pose and velocity (3,), world frame, a time after the newest fix."""
 
-    def _before_newest(self) -> tuple[Float64, Float64]:
-        """Return times (n,) s and poses (n, 3) relative to the newest fix, headings wrapped."""
-        newest_us, newest, _ = self._fixes[-1]
-        time_s = np.array([(time_us - newest_us) * 1e-6 for time_us, _, _ in self._fixes])
-        poses = np.array([pose - newest for _, pose, _ in self._fixes])
-        poses[:, 2] = np.angle(np.exp(1j * poses[:, 2]))
-        return time_s, poses
-
-
-class DifferenceEstimator(_FromLastFixes):
+def last_difference(
+    newest: Float64, time_s: Float64, poses: Float64, _lead_s: float
+) -> tuple[Float64, Float64]:
     """The paper's estimator: the pose is the newest fix, the velocity the difference of the last two.
 
     Source: Huang et al. 2022, section on closed-loop control; their logger's xdot, ydot, thetadot.
     """
-
-    def _state(self, lead_s: float) -> tuple[Float64, Float64]:
-        time_s, poses = self._before_newest()
-        speed = -poses[-2] / -time_s[-2] if len(time_s) > 1 else np.zeros(3)
-        return self._fixes[-1][1], speed
+    return newest, -poses[-2] / -time_s[-2] if len(time_s) > 1 else np.zeros(3)
 
 
-class LineEstimator(_FromLastFixes):
-    """A straight line by least squares through the fixes of the last quarter second, to the requested
-    time."""
+def line_through(newest: Float64, time_s: Float64, poses: Float64, lead_s: float) -> tuple[Float64, Float64]:
+    """A straight line by least squares through the fixes of the last quarter second, to the requested time.
 
-    def _state(self, lead_s: float) -> tuple[Float64, Float64]:
-        time_s, poses = self._before_newest()
-        recent = time_s >= -LINE_WINDOW_S
-        time_s, poses = time_s[recent], poses[recent]
-        off_s = time_s - time_s.mean()
-        spread = (off_s**2).sum()
-        speed = (off_s[:, None] * poses).sum(axis=0) / spread if spread > 0.0 else np.zeros(3)
-        return self._fixes[-1][1] + poses.mean(axis=0) + speed * (lead_s - time_s.mean()), speed
+    Args:
+        newest: (3,) pose of the newest fix.
+        time_s, poses: (n,) times and (n, 3) poses of the fixes relative to the newest, headings wrapped.
+        lead_s: from the newest fix to the requested time.
+    """
+    recent = time_s >= -LINE_WINDOW_S
+    time_s, poses = time_s[recent], poses[recent]
+    off_s = time_s - time_s.mean()
+    spread = (off_s**2).sum()
+    speed = (off_s[:, None] * poses).sum(axis=0) / spread if spread > 0.0 else np.zeros(3)
+    return newest + poses.mean(axis=0) + speed * (lead_s - time_s.mean()), speed
 
 
 METHODS: Mapping[str, Callable[[Tables], Estimates]] = {
-    "difference": lambda _tables: DifferenceEstimator(),
-    "line": lambda _tables: LineEstimator(),
+    "difference": lambda _tables: FromLastFixes(last_difference),
+    "line": lambda _tables: FromLastFixes(line_through),
     "track": Estimator,
 }
 """The paper's estimator, a line through the last fixes, and the robot's own."""

@@ -191,7 +191,6 @@ class CeilingStudy(Found):
 
 
 def run(config: Ceiling) -> CeilingStudy:
-    """Follow paths with one planner and three models: a full nearest table, the robot's table, the rods."""
     require_time(config.simulated_time)
     content = read_library(config.library)
     robot = content.robot()

@@ -425,7 +425,6 @@ class ChipStudy(Found):
 
 
 def run(config: Chip) -> ChipStudy:
-    """Time the planner of the bench image on the virtual chip over many states."""
     require_tools("bench")
     image = table_image(config.tables, config.model)
     robot = robot_of_table(image, config.model)

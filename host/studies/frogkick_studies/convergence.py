@@ -115,8 +115,6 @@ def _gaits(robot: Robot) -> Sequence[Gait]:
 
 @dataclass(frozen=True, eq=False)
 class ConvergenceStudy(Found):
-    """Error of the rod simulation against its time step."""
-
     curves: Sequence[Curve]
 
     @property
@@ -179,6 +177,5 @@ class ConvergenceStudy(Found):
 
 
 def run(config: Convergence) -> ConvergenceStudy:
-    """Simulate strokes and gaits at several time steps, and compare them with a fine one."""
     with shown(True, "convergence") as tell:
         return ConvergenceStudy(convergence(load_robot(config.robot), tell, config.every))

@@ -118,7 +118,6 @@ class EstimatorStudy(Found):
 
 
 def run(config: Estimator) -> EstimatorStudy:
-    """Estimate states from bad fixes in the pool by three methods."""
     require_time(config.simulated_time)
     image = table_image(config.tables, config.model)
     robot = robot_of_table(image, config.model)

@@ -296,7 +296,6 @@ class ForesightStudy(Found):
 
 
 def run(config: Foresight) -> ForesightStudy:
-    """Plan a whole run at once, by the table."""
     least = config.at_least
     if least is not None and not (math.isfinite(least) and least >= 0.0):
         raise InputError(f"--at-least {least} m/s: give a speed from 0 on")

@@ -103,8 +103,6 @@ def _restarted(robot: Robot, library: Library) -> Library:
 
 @dataclass(frozen=True, eq=False)
 class HistoryStudy(Found):
-    """Error of affine tables with and without limb use as an input."""
-
     results: Sequence[HistoryResult]
     seed: int
 
@@ -129,7 +127,6 @@ class HistoryStudy(Found):
 
 
 def run(config: History) -> HistoryStudy:
-    """Simulate libraries of a robot and of tiring ones, and fit tables with and without limb use."""
     with shown(True, "limb history") as tell:
         robot = load_robot(config.robot)
         return HistoryStudy(

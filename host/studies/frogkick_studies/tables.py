@@ -183,7 +183,6 @@ def slope(points: tuple[TablePoint, ...], name: str) -> float:
 
 
 def run(config: Tables) -> TableSizes:
-    """Make tables of many sizes from a library, and measure each on unseen states."""
     content = read_library(config.library)
     with shown(True, "tables") as tell:
         return table_sizes(content, config.test_states, config.seed, tell, config.swims)

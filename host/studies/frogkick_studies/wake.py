@@ -187,7 +187,6 @@ def _left_out(series: dict[str, Series], name: str) -> LeftOut:
 
 
 def run(config: Wake) -> WakeStudy:
-    """Fit a wake to the series over phase of a data folder, and predict another series."""
     from scipy import stats
 
     robot = load_robot(config.robot)

@@ -321,7 +321,6 @@ def _row_json(row: Row) -> dict[str, Any]:
 
 
 def run(config: Water) -> WaterStudy:
-    """Judge each hypothesis by a data folder."""
     robot = load_robot(config.robot)
     with shown(True, "water: swims") as tell:
         found = validate(robot, config.data_dir, config.processes, tell)

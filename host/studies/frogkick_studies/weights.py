@@ -255,7 +255,6 @@ class WeightsTuned(Found):
 
 
 def run(config: Weights) -> WeightsTuned:
-    """Tune the weights of a robot's planner."""
     image = table_image(config.tables, config.model)
     robot = robot_of_table(image, config.model)
     tables, planner = read_image(image), plan_config(robot, "robot", config.depth)

@@ -6,6 +6,7 @@ import os
 import select
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,27 +25,20 @@ if TYPE_CHECKING:
 LOOK_S = 0.1
 
 
-class Lines:
-    """Lines of standard input as they come; none of a terminal in whose background this program runs."""
-
-    def __init__(self) -> None:
-        self._number = sys.stdin.fileno()
-        self._is_open, self._rest = True, b""
-
-    def wait(self, timeout_s: float) -> list[str]:
-        """Return whole lines, after this time at the latest."""
-        if not self._is_open or not self._is_mine():
-            time.sleep(timeout_s)
-            return []
-        if not select.select([self._number], [], [], timeout_s)[0]:
-            return []
-        read = os.read(self._number, 4096)
-        self._is_open = bool(read)
-        *lines, self._rest = (self._rest + read).split(b"\n")
-        return [line.decode("utf-8", "replace") for line in lines if line.strip()]
-
-    def _is_mine(self) -> bool:
-        return not os.isatty(self._number) or os.tcgetpgrp(self._number) == os.getpgrp()
+def _lines() -> Iterator[list[str]]:
+    """Yield new lines of standard input, again and again; none of a terminal that this may not read."""
+    number, is_open, rest = sys.stdin.fileno(), True, b""
+    while True:
+        if not is_open or (os.isatty(number) and os.tcgetpgrp(number) != os.getpgrp()):
+            time.sleep(LOOK_S)
+            yield []
+        elif not select.select([number], [], [], LOOK_S)[0]:
+            yield []
+        else:
+            read = os.read(number, 4096)
+            is_open = bool(read)
+            *lines, rest = (rest + read).split(b"\n")
+            yield [line.decode("utf-8", "replace") for line in lines if line.strip()]
 
 
 def serve_pool(
@@ -93,9 +87,8 @@ def serve_pool(
 
 
 def _serve(pool: ServedPool) -> None:
-    lines = Lines()
-    while True:
-        for text in lines.wait(LOOK_S):
+    for lines in _lines():
+        for text in lines:
             try:
                 say(pool.act(text))
             except InputError as error:

@@ -43,7 +43,7 @@ def _whole_pair(text: str, option: str) -> tuple[int, int]:
 
 
 def calibrate(
-    pool: Annotated[str, typer.Option(help="Length and width of the pool, m.", metavar="LxW")],
+    pool: Annotated[str, "Length and width of the pool, m.", opt.With(metavar="LxW")],
     out: Annotated[Path, "Calibration file to write (.toml)."],
     corners: Annotated[
         Path | None, "File of the pool's corners in pixels (.toml, .csv), ordered (0,0), (L,0), (L,W), (0,W)."
@@ -51,9 +51,7 @@ def calibrate(
     corner_height_mm: Annotated[
         float, "Height of the corners or of the board above the water; negative if below."
     ] = 0.0,
-    image: Annotated[
-        str | None, typer.Option(help="Size of the camera's pictures, px.", metavar="WxH")
-    ] = None,
+    image: Annotated[str | None, "Size of the camera's pictures, px.", opt.With(metavar="WxH")] = None,
     camera_height_m: Annotated[
         float | None, "Measured height of the camera above the water; not needed with a board."
     ] = None,
@@ -61,7 +59,7 @@ def calibrate(
         str | None, "Calibrate the lens from pictures of a board: chessboard or charuco."
     ] = None,
     squares: Annotated[
-        str, typer.Option(help="Number of squares of the board, columns and rows.", metavar="CxR")
+        str, "Number of squares of the board, columns and rows.", opt.With(metavar="CxR")
     ] = "9x6",
     square_mm: Annotated[float, "Side of a square of the board."] = 25.0,
     pictures: Annotated[Path | None, "Folder of pictures of the board."] = None,
@@ -70,10 +68,8 @@ def calibrate(
     ] = None,
     board_at: Annotated[
         str,
-        typer.Option(
-            help="Position of the board's first inner corner in the pool, m. Its rows run along the pool.",
-            metavar="X,Y",
-        ),
+        "Position of the board's first inner corner in the pool, m. Its rows run along the pool.",
+        opt.With(metavar="X,Y"),
     ] = "0,0",
     tag_family: FamilyOption = "tag36h11",
     tag_id: TagIdOption = 0,
@@ -87,7 +83,7 @@ def calibrate(
         float, "Direction of the tag's top edge, counter-clockwise from the robot's forward axis."
     ] = 0.0,
     tag_at_mm: Annotated[
-        str, typer.Option(help="Position of the tag's centre on the robot: forward, left.", metavar="X,Y")
+        str, "Position of the tag's centre on the robot: forward, left.", opt.With(metavar="X,Y")
     ] = "0,0",
     json: opt.Json = False,
 ) -> None:
@@ -140,13 +136,13 @@ def check(
         "CSV of pictures of the tag at known poses, with the columns image, x_m, y_m, heading_deg.",
     ] = None,
     grid: Annotated[
-        str, typer.Option(help="Number of rendered tags, used without --points and --places.", metavar="NxM")
+        str, "Number of rendered tags, used without --points and --places.", opt.With(metavar="NxM")
     ] = "9x7",
     blur_px: Annotated[float, "Blur of the rendered pictures."] = 0.6,
     noise: Annotated[float, "Noise of the rendered pictures, in grey levels."] = 2.0,
     wave_mm: Annotated[float, "Standard deviation of the rendered tag's heave."] = 0.0,
-    limit_mm: Annotated[float, "Largest position error allowed.", opt.Within(0.0)] = 1.0,
-    limit_deg: Annotated[float, "Largest heading error allowed.", opt.Within(0.0)] = 0.5,
+    limit_mm: Annotated[float, "Largest position error allowed.", opt.With(0.0)] = 1.0,
+    limit_deg: Annotated[float, "Largest heading error allowed.", opt.With(0.0)] = 0.5,
     out: Annotated[Path | None, "Folder for error_map.json and error_map.png."] = None,
     seed: opt.Seed = 0,
     json: opt.Json = False,

@@ -142,27 +142,22 @@ def retune(
     ],
     robot: Annotated[
         str,
-        typer.Option(
-            "--robot",
-            "--model",
-            help="Robot TOML file or built-in name that the robot's tables were made from.",
-        ),
+        "Robot TOML file or built-in name that the robot's tables were made from.",
+        opt.With(names=opt.FILE),
     ],
     out: Annotated[Path, "New folder for the robot's TOML file, library, tables and firmware."],
     tables: Annotated[
         Path | None, "Table image that the robot carries (.fkt), to compare with; default: made from --robot."
     ] = None,
     states: Annotated[
-        int, "Number of states of the simulated libraries.", opt.Within(STATES_LEAST, 65535)
+        int, "Number of states of the simulated libraries.", opt.With(STATES_LEAST, 65535)
     ] = STATES,
     workers: opt.Workers = 0,
     push: Annotated[
         str | None,
-        typer.Option(
-            metavar="TARGET",
-            help="Send the new tables, if they are better, to ble:NAME, serial:PORT or virtual. The robot "
-            "keeps the old ones.",
-        ),
+        "Send the new tables, if they are better, to ble:NAME, serial:PORT or virtual. The robot keeps the "
+        "old ones.",
+        opt.With(metavar="TARGET"),
     ] = None,
     key: opt.Key = None,
     laws: opt.Laws = True,

@@ -55,7 +55,7 @@ def simulate(
     egain_percent: Annotated[float | None, "EGaIn fraction of the limbs in a gait, %."] = None,
     frequency_hz: Annotated[float | None, "Strokes per second of a gait."] = None,
     phase: Annotated[float, "Lag of the rear limbs as a fraction of the period, 0 to 1."] = 0.5,
-    cycles: Annotated[int, "Number of cycles of the gait.", opt.Within(1, 200)] = 8,
+    cycles: Annotated[int, "Number of cycles of the gait.", opt.With(1, 200)] = 8,
     actions: Annotated[
         str | None, "Names of the actions in their order, such as B,B,C or kick,glide."
     ] = None,
@@ -111,7 +111,7 @@ def simulate(
 
 def build_library(
     robot: opt.RobotArgument = "frog2022",
-    states: Annotated[int, "Number of initial velocities.", opt.Within(1, 65535)] = 300,
+    states: Annotated[int, "Number of initial velocities.", opt.With(1, 65535)] = 300,
     out: Annotated[Path, "HDF5 file to write."] = Path("lib.h5"),
     workers: opt.Workers = 0,
     sampling: Annotated[
@@ -122,7 +122,7 @@ def build_library(
     record_s: Annotated[
         float,
         "Time to simulate and record after each transition's start, s; 0: one period.",
-        opt.Within(0.0, 60.0),
+        opt.With(0.0, 60.0),
     ] = RECORD_S,
     cluster: opt.Cluster = None,
     seed: opt.Seed = 0,
@@ -165,27 +165,18 @@ def build_table(
     library: LibraryArgument,
     kind: Annotated[
         Kind | None,
-        typer.Option(
-            help="nearest: the paper's table; affine: fewer states, with local linear corrections and limb "
-            "history. Default: the kind with the smaller error: affine, unless the library has too few "
-            "states.",
-            show_default=False,
-        ),
+        "nearest: the paper's table; affine: fewer states, with local linear corrections and limb history. "
+        "Default: the kind with the smaller error: affine, unless the library has too few states.",
+        opt.With(show_default=False),
     ] = None,
     budget_kib: Annotated[
         float | None,
-        typer.Option(
-            min=0.5,
-            max=16384,
-            help="Largest size of the image, KiB; states are placed where the error is largest. Default: "
-            "64 for affine, no limit for nearest.",
-            show_default=False,
-        ),
+        "Largest size of the image, KiB; states are placed where the error is largest. Default: 64 for "
+        "affine, no limit for nearest.",
+        opt.With(0.5, 16384, show_default=False),
     ] = None,
     out: Annotated[Path, "Table image to write (.fkt)."] = Path("tables.fkt"),
-    test_states: Annotated[
-        int, "Number of unseen states to measure the error on.", opt.Within(4, 10000)
-    ] = 64,
+    test_states: Annotated[int, "Number of unseen states to measure the error on.", opt.With(4, 10000)] = 64,
     seed: opt.Seed = 1,
     json: opt.Json = False,
 ) -> None:
@@ -202,10 +193,11 @@ def show_table(
     tables: TableArgument,
     robot: Annotated[
         str | None,
-        typer.Option("--robot", "--model", help="Refuse a table that was not made for this robot."),
+        "Refuse a table that was not made for this robot.",
+        opt.With(names=opt.FILE),
     ] = None,
     test_states: Annotated[
-        int, "Number of unseen states to measure the error on; 0: do not measure it.", opt.Within(0, 10000)
+        int, "Number of unseen states to measure the error on; 0: do not measure it.", opt.With(0, 10000)
     ] = 64,
     sampling: opt.Unseen = opt.Sampling.box,
     seed: opt.Seed = 1,
@@ -232,10 +224,8 @@ def codegen(
     out: Annotated[Path, "Folder to write."],
     measured: Annotated[
         bool,
-        typer.Option(
-            "--measure/--no-measure",
-            help="Measure sizes and times on the virtual chip and write them into the README.",
-        ),
+        "Measure sizes and times on the virtual chip and write them into the README.",
+        opt.With(names=("--measure/--no-measure",)),
     ] = True,
     json: opt.Json = False,
 ) -> None:

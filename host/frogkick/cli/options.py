@@ -5,8 +5,9 @@ from __future__ import annotations
 import enum
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import typer
 
@@ -15,25 +16,28 @@ PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
 Sampling = enum.StrEnum("Sampling", ["box", "visited", "planned"])
 
 
-class Within(NamedTuple):
-    """The range of an option's numbers."""
+@dataclass(frozen=True)
+class With:
+    """What an option has beside its help: the range of its numbers, other names, a name of its value."""
 
-    min: float
+    min: float | None = None
     max: float | None = None
+    names: tuple[str, ...] = ()
+    metavar: str | None = None
+    show_default: bool = True
 
 
-# A type, a text and perhaps a range are the option "--name" with that help, see ``with_options``.
+FILE = ("--robot", "--model")
+"""The names of an option whose value is a robot's file."""
+
+# A type, a text and perhaps a ``With`` are the option "--name" with that help, see ``with_options``.
 Json = Annotated[bool, "Print one JSON object and nothing else."]
-Seed = Annotated[int, "Seed of all random numbers; the same seed gives the same result.", Within(0)]
+Seed = Annotated[int, "Seed of all random numbers; the same seed gives the same result.", With(0)]
 Cluster = Annotated[
     str | None,
-    typer.Option(
-        "--cluster",
-        metavar="ADDRESS",
-        help="Compute on this Dask scheduler, such as tcp://host:8786, instead of on this computer.",
-    ),
+    "Compute on this Dask scheduler, such as tcp://host:8786, instead of on this computer.",
+    With(metavar="ADDRESS"),
 ]
-
 Tables = Annotated[
     Path | None, "Table image (.fkt); default: one that is made from a small library on first use."
 ]
@@ -41,19 +45,16 @@ Planner = Annotated[
     PlannerName,
     "Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and depth 1.",
 ]
-Depth = Annotated[int | None, "Search depth in strokes; default: the planner's own.", Within(1, 4)]
+Depth = Annotated[int | None, "Search depth in strokes; default: the planner's own.", With(1, 4)]
 Key = Annotated[
     Path | None, "Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
 ]
-Target = Annotated[
-    str, typer.Option("--robot", metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
-]
-Workers = Annotated[int, "Number of processes; 0: one for each core.", Within(0, 256)]
+Target = Annotated[str, "ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].", With(metavar="TARGET")]
+Workers = Annotated[int, "Number of processes; 0: one for each core.", With(0, 256)]
 RobotArgument = Annotated[str, typer.Argument(help="TOML file or built-in name.")]
-RobotFile = Annotated[str, typer.Option("--robot", "--model", help="TOML file or built-in name.")]
+RobotFile = Annotated[str, "TOML file or built-in name.", With(names=FILE)]
 Model = Annotated[
-    str | None,
-    typer.Option("--robot", "--model", help="Robot TOML file or built-in name; default: the table's robot."),
+    str | None, "Robot TOML file or built-in name; default: the table's robot.", With(names=FILE)
 ]
 Laws = Annotated[
     bool,
@@ -62,11 +63,8 @@ Laws = Annotated[
 ]
 Nominal = Annotated[
     str | None,
-    typer.Option(
-        "--robot",
-        "--model",
-        help="Nominal robot, as TOML file or built-in name; default: the robot of the runs.",
-    ),
+    "Nominal robot, as TOML file or built-in name; default: the robot of the runs.",
+    With(names=FILE),
 ]
 
 Unseen = Annotated[Sampling, "How the unseen states are drawn, as for 'library build'."]
@@ -91,7 +89,7 @@ def call(function: Callable[..., Found], options: Mapping[str, Any], **others: A
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose arguments ``Annotated[type, "help", Within(...)]`` are options with that help.
+    """Return a command whose arguments ``Annotated[type, "help", With(...)]`` are options with that help.
 
     A switch that is off by default has no ``--no-name``.
     """
@@ -101,9 +99,9 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         annotation = parameter.annotation
         kind, *notes = get_args(annotation) or (annotation,)
         if notes and isinstance(notes[0], str):
-            named = [f"--{parameter.name.replace('_', '-')}"] if parameter.default is False else []
-            limits = notes[1]._asdict() if len(notes) > 1 else {}
-            annotation = Annotated[kind, typer.Option(*named, help=notes[0], **limits)]
+            more = asdict(notes[1] if len(notes) > 1 else With())
+            own = (f"--{parameter.name.replace('_', '-')}",) if parameter.default is False else ()
+            annotation = Annotated[kind, typer.Option(*(more.pop("names") or own), help=notes[0], **more)]
         parameters.append(parameter.replace(annotation=annotation))
     command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return command

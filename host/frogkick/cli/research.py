@@ -24,14 +24,14 @@ LOOP_DECISIONS = 200
 
 
 def parity(
-    states: Annotated[int, "Number of states for Python and native C.", opt.Within(10, 10_000_000)] = 100_000,
+    states: Annotated[int, "Number of states for Python and native C.", opt.With(10, 10_000_000)] = 100_000,
     chip_states: Annotated[
         int | None,
         "How many of the states the virtual chip decides too.  [default: all]",
-        opt.Within(0, 10_000_000),
+        opt.With(0, 10_000_000),
     ] = None,
     loop_decisions: Annotated[
-        int, "Number of decisions of the closed-loop run, from fixes to decisions.", opt.Within(0, 100_000)
+        int, "Number of decisions of the closed-loop run, from fixes to decisions.", opt.With(0, 100_000)
     ] = LOOP_DECISIONS,
     tables: opt.Tables = None,
     model: opt.Model = None,
@@ -179,7 +179,7 @@ def sweep(
     frequencies: Annotated[
         str | None, "Frequencies in Hz, such as 0.4,0.5; default: those measured for each fraction."
     ] = None,
-    phases: Annotated[int, "Number of phase offsets, evenly spaced from 0.", opt.Within(1, 1000)] = 10,
+    phases: Annotated[int, "Number of phase offsets, evenly spaced from 0.", opt.With(1, 1000)] = 10,
     egain: Annotated[str | None, "EGaIn fractions in %, such as 10,30; default: the measured ones."] = None,
     workers: opt.Workers = 0,
     cluster: opt.Cluster = None,

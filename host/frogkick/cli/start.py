@@ -24,12 +24,8 @@ def demo(
     robot: opt.RobotFile = "frog2022",
     states: Annotated[
         int | None,
-        typer.Option(
-            min=10,
-            max=2000,
-            help="Initial velocities of the library; default: as for the default table.",
-            show_default=False,
-        ),
+        "Initial velocities of the library; default: as for the default table.",
+        opt.With(10, 2000, show_default=False),
     ] = None,
     depth: opt.Depth = None,
     seed: opt.Seed = 0,
@@ -130,7 +126,7 @@ def list_robots(json: opt.Json = False) -> None:
 def new_robot(
     out: Annotated[Path, typer.Argument(help="TOML file to write; its file name becomes the robot's id.")],
     base: Annotated[
-        str, typer.Option("--from", help="Built-in name or TOML file to start from.")
+        str, "Built-in name or TOML file to start from.", opt.With(names=("--from",))
     ] = "frog2022",
     limbs: Annotated[int | None, "Number of limbs to keep, from the first; default: all."] = None,
     json: opt.Json = False,
@@ -152,7 +148,7 @@ def fit_stroke(
         ),
     ],
     out: Annotated[Path, "TOML file to write, for the key profiles_file of a robot."],
-    egain_percent: Annotated[float, "EGaIn fraction of the limb's alloy, %.", opt.Within(0.0, 100.0)] = 0.0,
+    egain_percent: Annotated[float, "EGaIn fraction of the limb's alloy, %.", opt.With(0.0, 100.0)] = 0.0,
     frequency_hz: Annotated[
         float | None, "Strokes per second; default: one over the last time of each file."
     ] = None,

@@ -230,7 +230,10 @@ def check_camera(
     limit_mm: float = 1.0,
     limit_deg: float = 0.5,
 ) -> CameraCheck:
-    """Map a camera's errors over the pool; the arguments are the options of the command ``camera check``."""
+    """Map a camera's errors over the pool.
+
+    The arguments are the options of the command ``camera check``; ``tags`` is its grid.
+    """
     known = read_calibration(Path(calibration))
     if points is not None and places is not None:
         raise InputError("--points and --places are two different checks: give only one of the two")

@@ -259,9 +259,9 @@ def measure_firmware(
 
     The stack is measured on the virtual chip; its proved bound stands beside it.
     """
-    from frogkick.front.building import try_firmware
+    from frogkick.front.building import sizes_of, try_firmware
 
-    show(try_firmware(tables, robot).sizes(), json)
+    show(sizes_of(*try_firmware(tables, robot)), json)
 
 
 def flash_firmware(
@@ -285,7 +285,7 @@ def check_firmware(
     json: opt.Json = False,
 ) -> None:
     """Boot the image on the virtual chip and test every command, stroke and limit."""
-    from frogkick.front.building import try_firmware
+    from frogkick.front.building import checks_of, try_firmware
 
-    trial = try_firmware(tables, robot, progress=True)
-    show(trial.as_json(), json, passed=trial.passed)
+    checks = checks_of(*try_firmware(tables, robot, progress=True))
+    show(checks, json, passed=checks["passed"])

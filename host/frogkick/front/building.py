@@ -10,7 +10,6 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -164,50 +163,41 @@ def _times(
     return {depth: found[depth] for depth in states}
 
 
-@dataclass(frozen=True, eq=False)
-class FirmwareTrial:
-    """The test of a bench image on the virtual chip, whose files are deleted."""
+def sizes_of(built: Firmware, report: ChipReport) -> dict[str, Any]:
+    """The keys of the command ``firmware size``: bytes, and shares of the chip's memory."""
+    return {
+        "flash_bytes": built.flash_bytes,
+        "flash_of_chip": round(built.flash_bytes / FLASH_BYTES, 4),
+        "ram_bytes": built.ram_bytes,
+        "ram_of_chip": round(built.ram_bytes / RAM_BYTES, 4),
+        "stack_bytes": report.stack_bytes,
+        "stack_bound_bytes": report.stack_bound_bytes,
+        "stack_bound_chain": list(report.stack_chain),
+        "stack_reserved_bytes": built.stack_bytes,
+    }
 
-    build: Firmware
-    report: ChipReport
 
-    @property
-    def passed(self) -> bool:
-        """Whether every check passed."""
-        return self.report.passed
-
-    def sizes(self) -> dict[str, Any]:
-        """The keys of the command ``firmware size``: bytes, and shares of the chip's memory."""
-        return {
-            "flash_bytes": self.build.flash_bytes,
-            "flash_of_chip": round(self.build.flash_bytes / FLASH_BYTES, 4),
-            "ram_bytes": self.build.ram_bytes,
-            "ram_of_chip": round(self.build.ram_bytes / RAM_BYTES, 4),
-            "stack_bytes": self.report.stack_bytes,
-            "stack_bound_bytes": self.report.stack_bound_bytes,
-            "stack_bound_chain": list(self.report.stack_chain),
-            "stack_reserved_bytes": self.build.stack_bytes,
-        }
-
-    def as_json(self) -> dict[str, Any]:
-        """The keys of the command ``firmware test``."""
-        report = self.report
-        return {
-            "passed": report.passed,
-            "checks": {name: "ok" if ok else "FAILED" for name, ok in report.checks.items()},
-            "plan_ms": report.plan_ms,
-            "plan_cycles": report.plan_cycles,
-            "flash_bytes": self.build.flash_bytes,
-            "ram_bytes": self.build.ram_bytes,
-            "stack_bytes": report.stack_bytes,
-            "stack_bound_bytes": report.stack_bound_bytes,
-        }
+def checks_of(built: Firmware, report: ChipReport) -> dict[str, Any]:
+    """The keys of the command ``firmware test``."""
+    return {
+        "passed": report.passed,
+        "checks": {name: "ok" if ok else "FAILED" for name, ok in report.checks.items()},
+        "plan_ms": report.plan_ms,
+        "plan_cycles": report.plan_cycles,
+        "flash_bytes": built.flash_bytes,
+        "ram_bytes": built.ram_bytes,
+        "stack_bytes": report.stack_bytes,
+        "stack_bound_bytes": report.stack_bound_bytes,
+    }
 
 
 def try_firmware(
     table: Table | Path | str | None = None, robot: Robot | str | None = None, progress: Progress = False
-) -> FirmwareTrial:
-    """Build the bench image around a table (None: the default one) and test it on the virtual chip."""
+) -> tuple[Firmware, ChipReport]:
+    """Build the bench image around a table (None: the default one) and test it on the virtual chip.
+
+    The files of the build are deleted.
+    """
     require_tools("bench")
     from frogkick.runs.chip_check import check_on_chip  # it cannot be loaded without the extra
 
@@ -216,7 +206,7 @@ def try_firmware(
         image = stack.enter_context(used.file())
         built = stack.enter_context(built_firmware("bench", image, used.robot))
         tell = stack.enter_context(shown(progress, "virtual chip"))
-        return FirmwareTrial(built, check_on_chip(built.image, used.tables, used.robot, tell))
+        return built, check_on_chip(built.image, used.tables, used.robot, tell)
 
 
 def flash_firmware(

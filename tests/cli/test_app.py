@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import inspect
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -102,6 +105,33 @@ def test_no_command_loads_what_it_does_before_it_is_asked_to() -> None:
     configured = f"[frogkick.cli.study.command(name) for name in {list(STUDY_COMMANDS)}]"
     script = f"import sys, {modules}\n{configured}\nassert not {later} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_every_option_goes_to_the_call_or_is_used() -> None:
+    """``opt.call`` passes options by their names: one that is named otherwise would be lost in silence."""
+    calls = 0
+    for file in Path(frogkick.__file__).parent.glob("cli/*.py"):
+        for command in ast.walk(ast.parse(file.read_text())):
+            if not isinstance(command, ast.FunctionDef):
+                continue
+            inner = [each for statement in command.body for each in ast.walk(statement)]
+            used = {each.id for each in inner if isinstance(each, ast.Name)}
+            imported = {
+                name.asname or name.name: (each.module, name.name)
+                for each in inner
+                if isinstance(each, ast.ImportFrom)
+                for name in each.names
+            }
+            for each in inner:
+                if isinstance(each, ast.Call) and ast.unparse(each.func) == "opt.call":
+                    called = ast.unparse(each.args[0])
+                    module, name = imported.get(called, ("frogkick", called.removeprefix("fk.")))
+                    known = inspect.signature(getattr(importlib.import_module(str(module)), name)).parameters
+                    options = {argument.arg for argument in command.args.args}
+                    assert options <= known.keys() | used, (command.name, options - known.keys() - used)
+                    assert {key.arg for key in each.keywords if key.arg} <= known.keys(), command.name
+                    calls += 1
+    assert calls > 12
 
 
 def test_every_study_has_its_line_its_configuration_and_its_module() -> None:

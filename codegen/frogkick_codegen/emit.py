@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import jinja2
 import numpy as np
@@ -25,7 +26,7 @@ from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables, open_image, read_image
 from frogkick_codegen.native import PLANNER_SOURCES, planner_files
-from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES, STANDARD, firmware_sources, zig
+from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES, firmware_sources, zig
 
 
 @dataclass(frozen=True)
@@ -129,12 +130,6 @@ def render(
     _check_config(config)
     weights = [_literal(value) for value in config.weights()]
     banner = _banner(tables, portable_command(command), config, weights, robot_sha256)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("frogkick_codegen"),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
     image = tables.image
     values = {
         "banner": banner,
@@ -159,13 +154,22 @@ def render(
             for at in range(0, len(image), 16)
         ],
     }
-    files = {
-        name: environment.get_template(f"{name}.jinja").render(values).encode("utf-8") for name in _RENDERED
-    }
+    files = {name: filled(name, **values).encode("utf-8") for name in _RENDERED}
     head = "/* " + "\n * ".join(banner) + "\n */\n"
     for name, content in planner_files().items():
         files[name] = head.encode("utf-8") + content
     return files
+
+
+def filled(name: str, **values: Any) -> str:
+    """Return a file that is made of a template."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("frogkick_codegen"),
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    return environment.get_template(f"{name}.jinja").render(values)
 
 
 def portable_command(command: str) -> str:
@@ -195,7 +199,6 @@ def portable_command(command: str) -> str:
 def _banner(
     tables: Tables, command: str, config: PlanConfig, weights: list[str], robot_sha256: bytes | None
 ) -> list[str]:
-    """Return the first lines of every file."""
     numbers = (config.depth, int(config.cost), config.transitions_max)
     settings = ",".join([*weights, *map(str, numbers)])
     robot = f"SHA-256 {robot_sha256.hex()}" if robot_sha256 else "its hash is part of the library's"
@@ -211,7 +214,6 @@ def _banner(
 
 
 def _check_config(config: PlanConfig) -> None:
-    """Refuse what ``fk_plan`` would refuse for every state."""
     status = int(kernel.check_settings(config.settings(), config.depth))
     if status == kernel.ERROR_DEPTH:
         raise InputError(f"depth is {config.depth}, allowed is 1 to 4: correct the planner's configuration")
@@ -292,11 +294,6 @@ _BARE = (
 )  # fmt: skip
 NOT_PLANNER = ("main", "fk_reset", "fk_fault", "fk_clock_init", "memcpy", "memset", "vectors")
 """What such an image holds besides planner and table."""
-
-
-def compiler_name() -> tuple[str, str]:
-    """Return who compiles it, with the version, and the flags that size and speed depend on."""
-    return f"{zig('chip').version} cc", STANDARD[-1]
 
 
 def build_planner(emitted: Path, elf: Path) -> Path:

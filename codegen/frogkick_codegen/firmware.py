@@ -66,14 +66,8 @@ class Firmware:
 
     def as_json(self) -> dict[str, int | str | dict[str, str]]:
         """The keys of the command ``firmware build``."""
-        return {
-            "target": self.target,
-            "image": str(self.image),
-            "files": {what: str(path) for what, path in self.files.items()},
-            "flash_bytes": self.flash_bytes,
-            "ram_bytes": self.ram_bytes,
-            "stack_bytes": self.stack_bytes,
-        }
+        files = {what: str(path) for what, path in self.files.items()}
+        return {**vars(self), "image": str(self.image), "files": files}
 
     def __repr__(self) -> str:
         return f"Firmware({self.target}, flash {self.flash_bytes} bytes, RAM {self.ram_bytes} bytes)"
@@ -87,11 +81,6 @@ FIX_LOST_CEILING_S = 2.0
 
 
 def _require_limits(robot: Robot) -> None:
-    """Refuse limits that are none.
-
-    Raises:
-        InputError: a limit of the guard is beyond what the firmware takes for any robot.
-    """
     guard = robot.guard
     for name, value, least, most in (
         ("pulse_max_s", guard.pulse_max_s, 1e-6, PULSE_CEILING_S),

@@ -9,11 +9,10 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
-import jinja2
-
 from frogkick.core.files import write_text
 from frogkick.core.weights import WEIGHTS
 from frogkick.link.layout import Field, Payload, link_layout, supervisor
+from frogkick_codegen.emit import filled
 from frogkick_codegen.toolchain import firmware_sources
 
 _FIRMWARE = firmware_sources()
@@ -22,24 +21,12 @@ SUPERVISOR_HEADER = _FIRMWARE / "core" / "fk_supervisor_table.h"
 PLANNER_HEADER = Path(__file__).parent / "planner" / "fk_planner.h"
 
 
-def _render(template: str) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("frogkick_codegen"),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template(template).render(layout=link_layout(), table=supervisor())
-
-
 def layout_header() -> str:
-    """The C header with ids, structures and their packing."""
-    return _render("fk_frames_layout.h.jinja")
+    return filled("fk_frames_layout.h", layout=link_layout())
 
 
 def supervisor_header() -> str:
-    """The C header with the supervisor's rules."""
-    return _render("fk_supervisor_table.h.jinja")
+    return filled("fk_supervisor_table.h", table=supervisor(), layout=link_layout())
 
 
 def _cell(fields: tuple[Field, ...]) -> str:
@@ -113,7 +100,6 @@ def planner_header(text: str) -> str:
 
 
 def main() -> None:
-    """Write the headers."""
     write_text(HEADER, layout_header())
     write_text(SUPERVISOR_HEADER, supervisor_header())
     write_text(PLANNER_HEADER, planner_header(PLANNER_HEADER.read_text(encoding="utf-8")))

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from frogkick.core.arrays import AnyArray, Float32, UInt16
 from frogkick.core.files import cache_folder, one_at_a_time
 from frogkick.core.shared_library import load
+from frogkick.planner.kernel import PLAN_ROW
 from frogkick.planner.plan import (
-    PLAN_ROW,
     PathLike,
     PlanConfig,
     along_rows,
@@ -100,9 +100,18 @@ def build_shared(
 
 
 def native_entries(name: str) -> dict[str, bytes]:
-    """The file of that name which a host's library has beside the planner's, and the header it needs."""
     folder = resources.files("frogkick_codegen") / "templates"
     return {each: (folder / each).read_bytes() for each in (name, "native_inputs.h")}
+
+
+def _problem(ffi: Any, image: bytes, path: PathLike, config: PlanConfig) -> tuple[Any, ...]:
+    """What both libraries take first: table, path, configuration."""
+    points = path_rows(path)
+    return (
+        *(ffi.from_buffer("uint8_t[]", image), len(image)),
+        *(ffi.from_buffer("float[]", points), points.shape[1]),
+        *(ffi.from_buffer("float[]", config.weights()), config.cost, config.transitions_max),
+    )
 
 
 class NativeLibrary:
@@ -163,19 +172,12 @@ class NativeLibrary:
             TableError: the C refuses the image; the text has its fk_error_t.
             InputError: the arrays' shapes do not fit.
         """
-        points = path_rows(path)
         queries, many = query_rows(config, states, depths)
         levels = many.astype(np.int32)
         used = limb_use_rows(limb_use, len(queries))
         rows = np.zeros(len(queries), dtype=PLAN_ROW)
         status = self._library.fk_native_plan_batch(
-            self._ffi.from_buffer("uint8_t[]", image),
-            len(image),
-            self._floats(points),
-            points.shape[1],
-            self._floats(config.weights()),
-            config.cost,
-            config.transitions_max,
+            *_problem(self._ffi, image, path, config),
             self._floats(queries),
             self._ffi.from_buffer("uint16_t[]", used),
             self._floats(along_rows(along_points, len(queries))),
@@ -248,17 +250,11 @@ class BlockCounter:
         Raises:
             TableError: the C refuses the image, the path, the configuration or a state.
         """
-        ffi, points = self._ffi, path_rows(path)
+        ffi = self._ffi
         blocks = np.zeros((len(states), self._library.fk_native_blocks()), dtype=np.uint32)
         statuses = np.zeros(len(states), dtype=np.int32)
         status = self._library.fk_native_blocks_plan(
-            ffi.from_buffer("uint8_t[]", image),
-            len(image),
-            ffi.from_buffer("float[]", points),
-            points.shape[1],
-            ffi.from_buffer("float[]", config.weights()),
-            config.cost,
-            config.transitions_max,
+            *_problem(ffi, image, path, config),
             config.depth,
             ffi.from_buffer("float[]", np.ascontiguousarray(states, dtype=np.float32)),
             ffi.from_buffer("uint16_t[]", np.ascontiguousarray(limb_use, dtype=np.uint16)),

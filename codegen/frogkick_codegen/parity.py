@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.arrays import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt16
 from frogkick.core.errors import FrogkickError, InputError
-from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows, plan_batch
+from frogkick.planner.kernel import PLAN_ROW
+from frogkick.planner.plan import PathLike, PlanConfig, path_rows, plan_batch
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.native import NativeLibrary
@@ -48,21 +49,10 @@ class Cases:
     kinds: Int64
     seed: int
 
-    def head(self, count: int) -> Cases:
-        """Return the first ``count`` cases, for a slower place."""
-        return self.part(0, count)
-
     def part(self, at: int, count: int) -> Cases:
         """Return ``count`` cases from one on, fewer at the end."""
-        some = slice(at, at + count)
-        return Cases(
-            self.states[some],
-            self.depths[some],
-            self.limb_use[some],
-            self.along_points[some],
-            self.kinds[some],
-            self.seed,
-        )
+        names = [field.name for field in fields(self) if field.name != "seed"]
+        return replace(self, **{name: getattr(self, name)[at : at + count] for name in names})
 
 
 @dataclass(frozen=True)
@@ -134,14 +124,12 @@ def _table_edge(source: _Source, count: int) -> AnyArray:
 
 
 def _beyond(source: _Source, count: int) -> AnyArray:
-    """Outside the table's box, to beyond the clamp."""
     states = source.base(count)
     states[:, 3:] *= 10.0 ** source.rng.uniform(0.0, 4.0, (count, 3))
     return states
 
 
 def _tie(source: _Source, count: int) -> AnyArray:
-    """At exactly the same distance from two or more nearest rows."""
     states = source.base(count)
     if len(source.ties):
         states[:, 3:] = source.velocity(source.rng.choice(source.ties, count))
@@ -362,12 +350,10 @@ def find_ties(tables: Tables, rng: np.random.Generator, wanted: int = _TIES_WANT
 
 
 def python_place(tables: Tables, path: PathLike, config: PlanConfig) -> Place:
-    """Return the Python twin as a place."""
     return lambda *given: plan_batch(tables, path, config, *given)
 
 
 def native_place(library: NativeLibrary, tables: Tables, path: PathLike, config: PlanConfig) -> Place:
-    """Return this machine's C as a place."""
     return lambda *given: library.plan_batch(tables.image, path, config, *given)
 
 

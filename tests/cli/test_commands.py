@@ -72,7 +72,7 @@ def test_doctor_lacks_what_demo_lacks(
     monkeypatch.setitem(sys.modules, package, None)
     if package != "intelhex":  # as where nothing of the chip was loaded before
         monkeypatch.delitem(sys.modules, "frogkick.pool.chip", raising=False)
-        monkeypatch.delitem(sys.modules, "frogkick.pool.chip.hook", raising=False)
+        monkeypatch.delitem(sys.modules, "frogkick.pool.chip.emulator", raising=False)
     done = frogkick(capsys, "doctor", "--json")
     stage = done.json["stages"][0]
     assert done.code == 1 and not stage["ready"]

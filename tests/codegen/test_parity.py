@@ -108,7 +108,7 @@ def test_every_kind_of_state_is_there_and_is_what_it_says() -> None:
     by_kind = {name: cases.kinds == index for index, name in enumerate(KINDS)}
     assert set(np.unique(cases.depths)) == {1, 2, 3, 4}
     assert len(KINDS) == 17
-    assert set(np.unique(cases.head(17).kinds)) == set(range(17))
+    assert set(np.unique(cases.part(0, 17).kinds)) == set(range(17))
     status = {name: set(rows["status"][mask].tolist()) for name, mask in by_kind.items()}
     assert status["not_finite"] == {-2}
     assert status["limit"] == status["limb_use"] == {0, -3}

@@ -17,7 +17,8 @@ from tests.conftest import count
 from tests.extra.tools import chip_compiler, emitted_firmware, program, run
 from tests.planner import synthetic
 
-from frogkick.planner.plan import PLAN_ROW, PlanConfig, config_of, path_rows, plan_batch
+from frogkick.planner.kernel import PLAN_ROW
+from frogkick.planner.plan import PlanConfig, config_of, path_rows, plan_batch
 from frogkick.robot import load_robot
 from frogkick.tables.image import open_image
 from frogkick_codegen.emit import SOURCES

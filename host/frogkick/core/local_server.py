@@ -16,8 +16,7 @@ HOST = "127.0.0.1"
 class QuietHandler(BaseHTTPRequestHandler):
     """Answers requests without a line for each of them."""
 
-    def log_message(self, format: str, *args: object) -> None:
-        """Do not print every request."""
+    def log_message(self, format: str, *args: object) -> None: ...
 
 
 class _Server(ThreadingHTTPServer):

@@ -20,8 +20,7 @@ def tell_line(text: str) -> None:
 class Tell(Protocol):
     """A function that shows progress, with a note."""
 
-    def __call__(self, done: int, whole: int, /, note: str = "") -> None:
-        """Show that ``done`` of ``whole`` is done."""
+    def __call__(self, done: int, whole: int, /, note: str = "") -> None: ...
 
 
 Stage = Callable[[str], AbstractContextManager[Tell]]
@@ -31,8 +30,7 @@ Stage = Callable[[str], AbstractContextManager[Tell]]
 class TellStage(Protocol):
     """What shows the progress of work in several stages."""
 
-    def __call__(self, stage: str, done: int, whole: int, /, note: str = "") -> None:
-        """So much of a stage is done, and a word on how it goes."""
+    def __call__(self, stage: str, done: int, whole: int, /, note: str = "") -> None: ...
 
 
 def silent(_stage: str, _done: int, _whole: int, /, note: str = "") -> None:
@@ -54,26 +52,16 @@ def progress_bar(title: str) -> Iterator[Tell]:
 
         yield tell
         return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.progress import (
-        Progress as RichProgress,
-    )
+    from rich import console, progress
 
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(),
     )
-    with RichProgress(*columns, console=Console(stderr=True), transient=False) as bar:
+    with progress.Progress(*columns, console=console.Console(stderr=True), transient=False) as bar:
         task = bar.add_task(title, total=None)
 
         def update(done: int, whole: int, /, note: str = "") -> None:

@@ -25,9 +25,10 @@ from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
-from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, compiler_name, emit
+from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, emit
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Firmware, build, require_tools
 from frogkick_codegen.probe import check_image, flash
+from frogkick_codegen.toolchain import STANDARD, zig
 
 if TYPE_CHECKING:
     from frogkick.runs.chip_check import ChipReport
@@ -119,14 +120,13 @@ def measure_emitted(
         times = _times(planner, image, settings, states, progress)
         stack = StackAnalysis(elf)
         types = Layouts(elf)
-        compiler, flags = compiler_name()
         content = load_image(elf)
         others = {*NOT_PLANNER, "fk_table_bytes", "fk_table_image", "fk_table_image_bytes"}
         symbols = content.symbols  # the start-up code has no variables
         variables = (symbols[f"fk_{part}_end"] - symbols[f"fk_{part}_begin"] for part in ("data", "bss"))
         return Figures(
-            compiler=compiler,
-            flags=flags,
+            compiler=f"{zig('chip').version} cc",
+            flags=STANDARD[-1],
             code_bytes=sum(size for name, size in content.sizes.items() if name not in others),
             ram_bytes={name: types[name].itemsize for name in _TYPES},
             static_bytes=sum(variables),

@@ -145,7 +145,7 @@ def _single(
         places["chip"] = lambda queries, depths, use, along: chip.plan(
             queries, depths, use, along, show_progress, counted=False
         )[0]
-        reports += [one for one in compare(cases.head(chip_states), places) if one.second == "chip"]
+        reports += [one for one in compare(cases.part(0, chip_states), places) if one.second == "chip"]
     return reports
 
 

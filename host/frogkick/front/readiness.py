@@ -144,7 +144,7 @@ def _try_compiler() -> str:
 
 
 def _try_chip() -> str:
-    from frogkick.pool.chip.hook import load_hook
+    from frogkick.pool.chip.emulator import load_hook
 
     load_hook()
     return "its emulator is there, its cycle counter builds and loads"

@@ -47,7 +47,6 @@ class CommandCodes:
 
 
 def challenge() -> bytes:
-    """A new random nonce."""
     return secrets.token_bytes(NONCE_BYTES)
 
 
@@ -71,7 +70,6 @@ def begin(key: bytes, host_nonce: bytes, answer: Mapping[str, int | float | str]
 
 
 def default_key_file() -> Path:
-    """Default file of the owner's key: ``frogkick/owner.key`` among the user's settings."""
     home = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA")
     return (Path(home) if home else Path.home() / ".config") / "frogkick" / "owner.key"
 

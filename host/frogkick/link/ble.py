@@ -52,8 +52,6 @@ _DEFINITE = (
 
 @dataclass(frozen=True)
 class Heard:
-    """A robot that advertises."""
-
     name: str  # advertised name, or ""
     address: str  # its address on this computer
     signal_dbm: int  # strength of the last advertisement
@@ -131,7 +129,6 @@ class BleWire(Wire):
                 self._loop.call_soon_threadsafe(self._queue, encoded, how)
 
     def close(self) -> None:
-        """Disconnect."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._stop.set)

@@ -26,11 +26,10 @@ class Requester(Protocol):
     """The part of a session that sends commands."""
 
     @property
-    def window(self) -> int:
-        """Number of commands that may wait for their answers at the same time."""
-
-    def ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float = 1.0) -> list[dict[str, Value]]:
-        """Send a command several times and wait for all answers; FrogkickError where one is missing."""
+    def window(self) -> int: ...  # commands that may wait for their answers at the same time
+    def ask_all(
+        self, name: str, many: Sequence[Arguments], timeout_s: float = 1.0
+    ) -> list[dict[str, Value]]: ...  # FrogkickError where an answer is missing
 
 
 def ask_again(
@@ -56,8 +55,6 @@ def ask_again(
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a payload: its name, wire type, unit and meaning."""
-
     name: str
     type: str
     unit: str
@@ -70,7 +67,6 @@ class Field:
 
     @property
     def bytes(self) -> int:
-        """Size on the wire."""
         return struct.calcsize("<" + self.format)
 
 
@@ -89,7 +85,6 @@ class Payload:
 
     @property
     def bytes(self) -> int:
-        """Size of the fixed part on the wire."""
         return struct.calcsize(self.format)
 
     def values_of(self, content: builtins.bytes) -> dict[str, Value]:
@@ -104,12 +99,10 @@ class Payload:
 
     @property
     def repeat_format(self) -> str:
-        """``struct`` format of one repeated row."""
         return "<" + "".join(field.format for field in self.repeat)
 
     @property
     def repeat_bytes(self) -> int:
-        """Size of one repeated row on the wire."""
         return struct.calcsize(self.repeat_format)
 
 
@@ -160,7 +153,6 @@ class Layout:
         return _name_of(self.status, value)
 
     def fault_name(self, value: int) -> str:
-        """Name of an internal error; its number where this host does not know it."""
         return _name_of(self.fault, value)
 
 
@@ -232,8 +224,6 @@ class Rule:
 
 @dataclass(frozen=True)
 class Supervisor:
-    """The state table."""
-
     actions: dict[str, str]  # name -> description, in the order of their numbers
     docs: dict[str, str]  # event -> description: commands, then others, in the order of their numbers
     rules: dict[tuple[str, str], Rule]  # cell of each event and state

@@ -37,8 +37,6 @@ class Stretch:
 
 @dataclass(frozen=True)
 class ChipLog:
-    """A fetched log."""
-
     # in order; the records between two of them were overwritten before they were fetched
     stretches: tuple[Stretch, ...] = ()
     lost: int = 0  # number of records that the robot has overwritten since its log began
@@ -52,14 +50,11 @@ class ChipLog:
         return (last.offset + len(last.content)) % _SPAN
 
     def records(self) -> list[list[Record]]:
-        """The complete records of each stretch."""
         return [records_of(stretch) for stretch in self.stretches]
 
 
 @dataclass(frozen=True)
 class Record:
-    """A record."""
-
     offset: int  # of its first byte
     name: str  # in ``frames.toml``, or DAMAGED
     time_us: int  # the robot's clock
@@ -109,7 +104,6 @@ def check_of(raw: bytes) -> int:
 
 
 def records_of(stretch: Stretch) -> list[Record]:
-    """Split a stretch into records."""
     records, at = [], 0
     while at + HEAD_BYTES <= len(stretch.content):
         length, number, check, low, high = struct.unpack_from("<BBHIH", stretch.content, at)

@@ -20,19 +20,13 @@ from frogkick.core.errors import InputError
 class Listener(Protocol):
     """The robot behind a transport."""
 
-    def feed(self, data: bytes) -> bytes:
-        """Take bytes from the host; return the bytes to send at once."""
-
-    def tick(self) -> bytes:
-        """Let the robot's time pass; return the bytes to send."""
-
+    def feed(self, data: bytes) -> bytes: ...  # takes bytes from the host, returns those to send at once
+    def tick(self) -> bytes: ...  # lets the robot's time pass, returns the bytes to send
     @property
-    def sleep_s(self) -> float:
-        """Until the next tick."""
+    def sleep_s(self) -> float: ...  # until the next tick
 
 
 def require_pseudo_terminals() -> None:
-    """Refuse a system that has none."""
     if sys.platform == "win32":
         raise InputError(
             "Windows has no pseudo-terminals, which a simulated robot's serial port is: use Linux, macOS or "
@@ -72,7 +66,6 @@ class PtyLine:
 
     @property
     def is_plugged_in(self) -> bool:
-        """The port is there."""
         return self._ends is not None
 
     def plug_in(self) -> None:
@@ -108,7 +101,6 @@ class PtyLine:
                 os.close(end)
 
     def drop(self, for_s: float = 0.0) -> None:
-        """Pull the cable and plug it in again."""
         self.pull_out()
         time.sleep(for_s)
         self.plug_in()

@@ -58,7 +58,6 @@ class SerialWire(Wire):
                 line.write(encoded)
 
     def close(self) -> None:
-        """Close the port."""
         self._closing.set()
         self._thread.join()
         line, self._line = self._line, None

@@ -19,7 +19,6 @@ LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 def require_dialect(name: str) -> None:
-    """Raise InputError unless a dialect is one of ``DIALECTS``."""
     if name not in DIALECTS:
         raise InputError(
             f"--dialect is {name!r}{nearest_name(name, DIALECTS)}: choose frogkick (this project's firmware) "
@@ -39,7 +38,6 @@ def limb_numbers(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def pulse_line(pulse_us: int) -> bytes:
-    """The line that sets the pulse's length."""
     if pulse_us % 1000:
         raise InputError(
             f"the table's pulse is {pulse_us} us, dialect frog2022 takes whole ms: build it with another"
@@ -48,5 +46,4 @@ def pulse_line(pulse_us: int) -> bytes:
 
 
 def fire_line(limbs: Sequence[int]) -> bytes:
-    """The line that fires limbs, by their numbers."""
     return b"h " + b" ".join(b"%d" % limb for limb in sorted(limbs)) + b"\n"

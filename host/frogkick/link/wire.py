@@ -36,17 +36,10 @@ class Edge:
 class RobotPort(Protocol):
     """A robot in simulated time. Its clock starts at 0 with the port."""
 
-    def send(self, encoded: bytes, at_s: float) -> None:
-        """Put bytes on the wire at a time, not before the robot's own."""
-
-    def advance(self, until_s: float) -> None:
-        """Advance the robot to a time."""
-
-    def frames(self) -> list[tuple[float, Frame]]:
-        """Frames from the robot since the last call, with their arrival times."""
-
-    def edges(self) -> list[Edge]:
-        """Pin edges since the last call, in order."""
+    def send(self, encoded: bytes, at_s: float) -> None: ...  # at a time not before the robot's own
+    def advance(self, until_s: float) -> None: ...
+    def frames(self) -> list[tuple[float, Frame]]: ...  # since the last call, with their arrival times
+    def edges(self) -> list[Edge]: ...  # of the pins since the last call, in order
 
 
 class WireError(FrogkickError):
@@ -83,8 +76,7 @@ class Wire(ABC):
         """Send a frame with its delimiter; the frame is lost while the wire is down."""
 
     @abstractmethod
-    def close(self) -> None:
-        """Disconnect."""
+    def close(self) -> None: ...
 
     def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
         """Wait for bytes, and return them with their arrival times (monotonic)."""
@@ -106,13 +98,11 @@ class Wire(ABC):
     # For the thread of the wire
 
     def put(self, data: bytes) -> None:
-        """Add received bytes."""
         with self._lock:
             self._arrived.append((time.monotonic(), data))
         self._bell.ring()
 
     def connected(self) -> None:
-        """Report that the wire is up."""
         with self._lock:
             self.is_up, self.connections = True, self.connections + 1
         self._bell.ring()

@@ -46,6 +46,7 @@ from frogkick.planner.lookup import (
     motion_of,
     velocity_code,
 )
+from frogkick.tables.layout import LIMBS_MAX
 
 OK = 0
 ERROR_NOT_FINITE = -2
@@ -64,10 +65,22 @@ POSITION_MAX_M = np.float32(1000)
 HEADING_MAX_RAD = np.float32(1000)
 LIMB_USE_MAX = 32767
 
-NUMBERS = 6
-"""Integers of a decision: status, action, nearest state, path index, depth, transitions; then limb uses."""
-VALUES = 9
-"""Floats of a decision: cost, distance, place along the path, predicted x, y, heading, vx, vy, omega."""
+PLAN_ROW = np.dtype(
+    [
+        ("status", "<i4"),
+        ("action", "<i4"),
+        ("nearest_state", "<i4"),
+        ("path_index", "<i4"),
+        ("depth_reached", "<i4"),
+        ("transitions", "<i4"),
+        ("cost", "<f4"),
+        ("distance_m", "<f4"),
+        ("along_points", "<f4"),
+        ("predicted", "<f4", (6,)),
+        ("predicted_limb_use", "<i4", (LIMBS_MAX,)),
+    ]
+)
+"""One decision: status (0 or a negative fk_error_t), then fk_plan_t; all zero where the status is not 0."""
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
@@ -347,18 +360,14 @@ def plan_one(
     state: AnyArray,
     limb_use: AnyArray,
     along: Any,
-    numbers: AnyArray,
-    values: AnyArray,
+    row: Any,
 ) -> None:
     """Plan from one state (6,) float32 whose limbs were used (LIMBS_MAX,) uint16, ``along`` the path.
 
-    Writes ``numbers`` (NUMBERS + LIMBS_MAX,) int32, the last of them the predicted limb use, and ``values``
-    (VALUES,) float32; all zero but the status where that is an error.
+    Writes a ``PLAN_ROW`` that is all zero.
     """
-    numbers[:] = 0
-    values[:] = _F0
-    numbers[0] = check(path, settings, depth, state, limb_use, along)
-    if numbers[0] != OK:
+    row.status = check(path, settings, depth, state, limb_use, along)
+    if row.status != OK:
         return
     stroke_max = costs.stroke_scale(table.stroke_max_m[0])
     spacing = stroke_max * _PER_STEP
@@ -369,14 +378,14 @@ def plan_one(
     held = False
     if is_route:
         segment, part, distance2, held = costs.project(path, stroke_max, along, state[0], state[1])
-        numbers[3] = segment + int(part)
-        values[1] = np.sqrt(distance2)
-        values[2] = np.float32(segment) + part
+        row.path_index = segment + int(part)
+        row.distance_m = np.sqrt(distance2)
+        row.along_points = np.float32(segment) + part
         costs.lay_out(path, segment, part, spacing, knots)
     else:
-        numbers[3], distance2 = costs.nearest_point(path[0], path[1], state[0], state[1])
-        values[1] = np.sqrt(distance2)
-        values[2] = np.float32(numbers[3])
+        row.path_index, distance2 = costs.nearest_point(path[0], path[1], state[0], state[1])
+        row.distance_m = np.sqrt(distance2)
+        row.along_points = np.float32(row.path_index)
     search = _Search(
         table,
         path,
@@ -404,27 +413,26 @@ def plan_one(
         search.dynamics[0, 3 + limb] = limb_use[limb]
     search.rows[0] = find_row(table, search.dynamics[0])
     moves = costs.may_rest(settings, state, spacing, table.period_s[0])
-    numbers[1], numbers[4] = search_levels(search, depth, moves)
-    numbers[2] = search.rows[0]
-    numbers[5] = search.best[1]
-    values[0] = search.best_cost[0]
-    action = np.int64(numbers[1])
+    action, row.depth_reached = search_levels(search, depth, moves)
+    row.action = action
+    row.nearest_state = search.rows[0]
+    row.transitions = search.best[1]
+    row.cost = search.best_cost[0]
     motion_of(table, search.rows[0], search.dynamics[0], action, search.motion)
-    step(search.poses[0], search.motion, values[3:6])
+    step(search.poses[0], search.motion, search.poses[1])
     dynamics_after(table, search.rows[0], search.dynamics[0], action, search.dynamics[1])
     for axis in range(3):
-        values[6 + axis] = np.float32(search.dynamics[1, axis]) * table.velocity_scale[axis]
+        row.predicted[axis] = search.poses[1, axis]
+        row.predicted[3 + axis] = np.float32(search.dynamics[1, axis]) * table.velocity_scale[axis]
     for limb in range(len(limb_use)):
-        numbers[NUMBERS + limb] = search.dynamics[1, 3 + limb]
+        row.predicted_limb_use[limb] = search.dynamics[1, 3 + limb]
 
 
 def _compiled(stamp: int) -> Any:
     @kept()
-    def plan_many(table, path, settings, depths, states, limb_use, along, numbers, values):  # type: ignore[no-untyped-def]
+    def plan_many(table, path, settings, depths, states, limb_use, along, rows):  # type: ignore[no-untyped-def]
         for k in range(len(states)):
-            plan_one(
-                table, path, settings, depths[k], states[k], limb_use[k], along[k], numbers[k], values[k]
-            )
+            plan_one(table, path, settings, depths[k], states[k], limb_use[k], along[k], rows[k])
         return stamp
 
     return plan_many
@@ -432,4 +440,4 @@ def _compiled(stamp: int) -> Any:
 
 plan_many = _compiled(stamp_of("frogkick.planner", repr(WEIGHTS)))
 """Plan from each row of ``states`` (k, 6) float32 with its own depth (k,), limb use (k, 8) uint16 and place
-along the path (k,) float32; see ``plan_one`` for the rest."""
+along the path (k,) float32 into ``rows`` (k,) ``PLAN_ROW``, all zero; see ``plan_one`` for the rest."""

@@ -16,32 +16,14 @@ from frogkick.core.arrays import AnyArray, Float32, Int64, UInt16
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.weights import WEIGHTS, Weights
 from frogkick.planner import kernel
+from frogkick.planner.kernel import PLAN_ROW
 from frogkick.planner.lookup import arrays_of
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 
-PLAN_ROW = np.dtype(
-    [
-        ("status", "<i4"),
-        ("action", "<i4"),
-        ("nearest_state", "<i4"),
-        ("path_index", "<i4"),
-        ("depth_reached", "<i4"),
-        ("transitions", "<i4"),
-        ("cost", "<f4"),
-        ("distance_m", "<f4"),
-        ("along_points", "<f4"),
-        ("predicted", "<f4", (6,)),
-        ("predicted_limb_use", "<i4", (LIMBS_MAX,)),
-    ]
-)
-"""One decision: status (0 or a negative fk_error_t), then fk_plan_t; all zero where the status is not 0."""
-
 PLAN_FIXED_US = 600
 TRANSITION_NS = 22000
 """Time of a decision on the chip: a fixed part, and at most so much for each transition (fk_robot.h)."""
-
-_NUMBER_FIELDS = ("status", "action", "nearest_state", "path_index", "depth_reached", "transitions")
 
 STATUS_TEXT = {
     kernel.ERROR_NOT_FINITE: "the state holds NaN or infinity: check the position fixes",
@@ -193,14 +175,11 @@ def plan(
         raise PlanError(
             status, f"no plan from state {query.tolist()} (status {status}): {STATUS_TEXT[status]}"
         )
-    return Plan(
-        **{name: int(row[name]) for name in _NUMBER_FIELDS[1:]},
-        cost=np.float32(row["cost"]),
-        distance_m=np.float32(row["distance_m"]),
-        along_points=np.float32(row["along_points"]),
-        predicted=np.array(row["predicted"], dtype=np.float32),
-        predicted_limb_use=row["predicted_limb_use"].astype(np.uint16),
-    )
+    numbers = ("action", "nearest_state", "path_index", "depth_reached", "transitions")
+    values: dict[str, Any] = {name: int(row[name]) for name in numbers}
+    values |= {name: row[name] for name in ("cost", "distance_m", "along_points")}
+    used = row["predicted_limb_use"].astype(np.uint16)
+    return Plan(**values, predicted=row["predicted"].copy(), predicted_limb_use=used)
 
 
 def plan_batch(
@@ -228,8 +207,7 @@ def plan_batch(
         InputError: the arrays' shapes do not fit each other.
     """
     queries, many = query_rows(config, states, depths)
-    numbers = np.zeros((len(queries), kernel.NUMBERS + LIMBS_MAX), dtype=np.int32)
-    values = np.zeros((len(queries), kernel.VALUES), dtype=np.float32)
+    rows = np.zeros(len(queries), dtype=PLAN_ROW)
     kernel.plan_many(
         arrays_of(tables),
         path_rows(path),
@@ -238,15 +216,8 @@ def plan_batch(
         queries,
         limb_use_rows(limb_use, len(queries)),
         along_rows(along_points, len(queries)),
-        numbers,
-        values,
+        rows,
     )
-    rows = np.zeros(len(queries), dtype=PLAN_ROW)
-    for column, name in enumerate(_NUMBER_FIELDS):
-        rows[name] = numbers[:, column]
-    rows["cost"], rows["distance_m"], rows["along_points"] = values[:, :3].T
-    rows["predicted"] = values[:, 3:]
-    rows["predicted_limb_use"] = numbers[:, kernel.NUMBERS :]
     return rows
 
 

@@ -199,12 +199,10 @@ class NativeRobot(SimulatedPort):
         self._edges += [Edge(now_s, limb, False) for limb in sorted(still_on)]
 
     def received(self) -> list[tuple[float, bytes]]:
-        """See ``SimulatedPort``."""
         taken, self._sent_back = self._sent_back, []
         return taken
 
     def flash_content(self) -> bytes:
-        """All of the flash for tables."""
         return bytes(self.flash)
 
     def edges(self) -> list[Edge]:
@@ -221,7 +219,6 @@ class NativeRobot(SimulatedPort):
 
     @property
     def time_s(self) -> float:
-        """The port's time."""
         return self._now_us * 1e-6
 
     def cut_power(self, off_s: float, idle_s: float = 0.0) -> None:

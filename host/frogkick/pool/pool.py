@@ -60,7 +60,6 @@ class Pool:
 
     @property
     def time_s(self) -> float:
-        """Pool time."""
         return float(self._batch.time_s[0])
 
     @property

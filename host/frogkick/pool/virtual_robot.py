@@ -45,24 +45,19 @@ class VirtualRobot(SimulatedPort):
         self._collector = FrameCollector()
 
     def send(self, encoded: bytes, at_s: float) -> None:
-        """Put bytes on the UART's wire."""
         # The chip may be a part of an instruction ahead of its target time.
         self.chip.send(encoded, max(at_s * 1e6, self.chip.time_us))
 
     def advance(self, until_s: float) -> None:
-        """Advance the chip to a time."""
         self.chip.run_until(until_s * 1e6)
 
     def received(self) -> list[tuple[float, bytes]]:
-        """See ``SimulatedPort``."""
         return [(time_us * 1e-6, data) for time_us, data in self.chip.received()]
 
     def flash_content(self) -> bytes:
-        """All of the flash."""
         return self.chip.flash.content()
 
     def edges(self) -> list[Edge]:
-        """Edges of the limbs' pins since the last call."""
         return [
             Edge(time_us * 1e-6, self._limb_of_pin[pin], level)
             for time_us, pin, level in self.chip.pin_edges()

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.core.arrays import AnyArray, Float32, Int32, Int64, UInt16
-from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
+from frogkick.planner.kernel import PLAN_ROW
+from frogkick.planner.plan import PathLike, PlanConfig, path_rows
 from frogkick.pool.chip import ChipError, CostModel, VirtualChip
 from frogkick.pool.chip.image import Layouts
 from frogkick.pool.chip.uncounted import UncountedCalls

@@ -34,7 +34,6 @@ class ActionRow:
 
 
 def require(good: bool, text: str) -> None:
-    """Raise TableError with a text unless a condition holds."""
     if not good:
         raise TableError(text)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import ClassVar, Final, Protocol
 
@@ -30,7 +30,6 @@ class Scheduler:
     """
 
     def __init__(self) -> None:
-        """Start without sources."""
         self._at: list[int] = []
         self._callbacks: list[Callable[[], None]] = []
         self.next_cycle = NEVER
@@ -42,7 +41,6 @@ class Scheduler:
         return len(self._at) - 1
 
     def clear(self) -> None:
-        """Remove all sources."""
         self._at, self._callbacks, self.next_cycle = [], [], NEVER
 
     def at(self, source: int, cycle: int) -> None:
@@ -83,26 +81,13 @@ class System(Protocol):
     core: CoreRegisters
 
     @property
-    def now_cycle(self) -> int:
-        """Current time in cycles of 64 MHz."""
-
-    def publish(self, event_address: int) -> None:
-        """Pass an event to PPI."""
-
-    def trigger(self, task_address: int) -> None:
-        """Trigger a task by its register's address."""
-
-    def has_register(self, address: int, prefix: str) -> bool:
-        """Whether a modelled register whose name begins so is at this address."""
-
-    def ram_read(self, address: int, count: int) -> bytes:
-        """Read RAM by EasyDMA."""
-
-    def ram_write(self, address: int, data: bytes) -> None:
-        """Write RAM by EasyDMA."""
-
-    def fail(self, what: str) -> ChipError:
-        """An error with program counter and time."""
+    def now_cycle(self) -> int: ...  # in cycles of 64 MHz
+    def publish(self, event_address: int) -> None: ...  # to PPI
+    def trigger(self, task_address: int) -> None: ...
+    def has_register(self, address: int, prefix: str) -> bool: ...  # one whose name begins so
+    def ram_read(self, address: int, count: int) -> bytes: ...  # by EasyDMA
+    def ram_write(self, address: int, data: bytes) -> None: ...
+    def fail(self, what: str) -> ChipError: ...  # with program counter and time
 
 
 _PAIR: Final = ("SET", "CLR")
@@ -119,6 +104,7 @@ class Peripheral:
     INTERRUPT_EVENTS: ClassVar[dict[int, str]] = {}  # bit of INTEN -> the event that it lets through
     RESET_VALUES: ClassVar[dict[str, int]] = {}  # of registers that do not begin with 0
     PAIR_BITS: ClassVar[int]  # that every other pair has
+    KNOWN: ClassVar[dict[str, Container[int]]] = {}  # register -> the only values of it that are modelled
 
     name: str  # instance, as in the SVD ("TIMER0")
     base: int  # address of its first register
@@ -173,28 +159,23 @@ class Peripheral:
             self.on_write(name, value)
 
     def on_read(self, name: str) -> int:
-        """Read a plain register."""
         return self.values[name]
 
     def on_write(self, name: str, value: int) -> None:
-        """Write a plain register."""
+        self.allow(name, value, self.KNOWN.get(name, (value,)))
         self.values[name] = value
 
     def on_pair(self) -> None:
-        """The bits of a pair have changed."""
         self._update_line()
 
     def on_task(self, name: str) -> None:
-        """Execute a task."""
         raise self.refuse(name, 1, "the model does not know this task")
 
-    def allow(self, name: str, value: int, known: Iterable[int]) -> None:
-        """Raise ChipError for a value outside ``known``."""
+    def allow(self, name: str, value: int, known: Container[int]) -> None:
         if value not in known:
             raise self.refuse(name, value, "the model does not know this value")
 
     def refuse(self, name: str, value: int, why: str) -> ChipError:
-        """The error of a write that is not modelled."""
         return self.system.fail(f"write of 0x{value:x} to {self.name}.{name}: {why}")
 
     def raise_event(self, name: str) -> None:
@@ -221,9 +202,9 @@ class CoreRegisters(Peripheral):
 
     name, base = "SCS", 0xE000_E000
     REGISTERS = registers("rw", NVIC_ICPR0=0x280, NVIC_ICPR1=0x284, SCB_SCR=0xD10, SCB_CPACR=0xD88)
+    KNOWN = {"SCB_SCR": (0, SEVONPEND), "SCB_CPACR": (0, _CP10_CP11)}
 
     def __init__(self, system: System, on_fpu: Callable[[bool], None]) -> None:
-        """``on_fpu`` hears when the FPU is switched."""
         super().__init__(system)
         self._on_fpu = on_fpu
         self._lines = 0
@@ -242,19 +223,12 @@ class CoreRegisters(Peripheral):
             self.event_register = True
 
     def on_read(self, name: str) -> int:
-        """Pending interrupts, or the register's value."""
         return self._pending if name == "NVIC_ICPR0" else self.values[name]
 
     def on_write(self, name: str, value: int) -> None:
-        """Take back pending interrupts, allow waking by them, switch the FPU on or off."""
         if name == "NVIC_ICPR0":
             self._pending &= ~value
             self._pend()  # a line that is still high makes its interrupt pending again
-        elif name == "SCB_SCR":
-            self.allow(name, value, (0, SEVONPEND))
-            self.values[name] = value
-        elif name == "SCB_CPACR":
-            self.allow(name, value, (0, _CP10_CP11))
-            self._on_fpu(value == _CP10_CP11)
-            self.values[name] = value
-        # Of NVIC_ICPR1 only the FPU's interrupt is ever pending, where its flags stand.
+        elif name != "NVIC_ICPR1":  # there only the FPU's interrupt is ever pending, where its flags stand
+            super().on_write(name, value)
+            self._on_fpu(self.values["SCB_CPACR"] == _CP10_CP11)

@@ -16,6 +16,7 @@ from frogkick.core.interrupts import ctrl_c_comes_after
 from frogkick.pool.chip.bus import (
     CYCLES_PER_US,
     FLASH_BYTES,
+    RAM_BYTES,
     ChipError,
     CoreRegisters,
     Peripheral,
@@ -23,9 +24,20 @@ from frogkick.pool.chip.bus import (
     Scheduler,
 )
 from frogkick.pool.chip.cost import PARTS, CostModel, CostTable, Profile
-from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
+from frogkick.pool.chip.emulator import (
+    CACHE_WORDS,
+    PAGE,
+    RETURN_ADDRESS,
+    Flag,
+    HookState,
+    Stop,
+    add_hooks,
+    bare_core,
+    invalid_access,
+    set_arguments,
+    unicorn,
+)
 from frogkick.pool.chip.flash import Flash, Nvmc
-from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop, unicorn
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.pins import Gpio, Gpiote, Ppi, Saadc
 from frogkick.pool.chip.power import DOG, Clock, Ficr, Power, Rng, Watchdog
@@ -33,6 +45,8 @@ from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
 
 _NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address
+_ACCESS: Final = unicorn.UC_HOOK_MEM_READ | unicorn.UC_HOOK_MEM_WRITE
+_UNINITIALISED: Final = b"\xcd"  # RAM after power-on: what .data and .bss do not set is not zero
 _STACK_PAINT: Final = bytes([0xA5]) * 4
 _FAULTS: Final = {
     Stop.WFI: "WFI: no interrupt is ever enabled in the NVIC, it would sleep for ever; use WFE",
@@ -87,7 +101,13 @@ class VirtualChip:
             table=ctypes.cast(self._table.entries, ctypes.c_void_p),
         )
         self._pc = self._image.reset_address
-        self._uc = make_core(self._image, self._by_base, self._access, self._on_invalid, self._state)
+        self._uc = bare_core(self._image.flash, _UNINITIALISED * RAM_BYTES)
+        for base in self._by_base:
+            self._uc.mmio_map(base, PAGE, self._read, base, self._write, base)
+        self._uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._on_invalid)
+        self._uc.reg_write(arm_const.UC_ARM_REG_SP, self._image.stack_pointer)
+        functions = {unicorn.UC_HOOK_CODE: "fk_hook_code", _ACCESS: "fk_hook_memory"}
+        add_hooks(self._uc, self._state, functions)
         self.flash.attach(self._uc, self._state, self._refuse)
 
     def _place_peripherals(self, edges: list[tuple[int, int, bool]]) -> None:
@@ -138,7 +158,6 @@ class VirtualChip:
 
     @property
     def stack_reserved_bytes(self) -> int:
-        """Stack that the linker script reserves."""
         return self.symbol("fk_stack_top") - self.symbol("fk_stack_bottom")
 
     @property
@@ -148,7 +167,6 @@ class VirtualChip:
 
     @property
     def instructions(self) -> int:
-        """Instructions executed since power-on."""
         return int(self._state.instructions)
 
     @property
@@ -184,7 +202,6 @@ class VirtualChip:
         return top - bottom - free
 
     def symbol(self, name: str) -> int:
-        """Address of a symbol of the firmware."""
         if name in self._image.symbols:
             return self._image.symbols[name]
         raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
@@ -250,7 +267,6 @@ class VirtualChip:
         return int(result), -(-cycles // PARTS)
 
     def profile(self) -> Profile:
-        """Start to count the cost of each instruction, and return the growing counts."""
         profile = Profile(self._image)
         self._state.profile = ctypes.cast(profile.parts, ctypes.c_void_p)
         self._state.visits = ctypes.cast(profile.visits, ctypes.c_void_p)
@@ -295,7 +311,6 @@ class VirtualChip:
         self._state.limit = PARTS * until
 
     def _execute(self) -> None:
-        """Run the core until the next event, the target, sleep or an error."""
         self._set_limit()
         self._state.stop = Stop.NONE
         try:
@@ -338,6 +353,12 @@ class VirtualChip:
         self._state.line = 0xFFFF_FFFF
         self._state.fetch_wait = 0 if enabled else self._cost.fetch_wait_uncached_parts
 
+    def _read(self, _uc: Any, offset: int, size: int, base: int) -> int:
+        return self._access(base, offset, size)
+
+    def _write(self, _uc: Any, offset: int, size: int, value: int, base: int) -> None:
+        self._access(base, offset, size, value)
+
     def _access(self, base: int, offset: int, size: int, value: int | None = None) -> int:
         """Read (value None) or write a register; an error is kept for after the emulator has stopped."""
         if self._access_error is not None:
@@ -367,25 +388,20 @@ class VirtualChip:
         return False
 
     def fail(self, what: str) -> ChipError:
-        """Make an error that says where the program was, and when."""
         pc = self._state.address
         return ChipError(f"{what} (pc 0x{pc:08x} in {self._image.function_at(pc)}, {self.time_us:.3f} us)")
 
     def trigger(self, task_address: int) -> None:
-        """Trigger a task, as PPI does."""
         peripheral, register = self._find(task_address)
         assert peripheral is not None and register is not None
         peripheral.on_task(register.name)
 
     def has_register(self, address: int, prefix: str) -> bool:
-        """Whether the model has a register of such a name at an address."""
         _, register = self._find(address)
         return register is not None and register.name.startswith(prefix)
 
     def ram_read(self, address: int, count: int) -> bytes:
-        """Read RAM, as EasyDMA or a debugger does."""
         return bytes(self._uc.mem_read(address, count))
 
     def ram_write(self, address: int, data: bytes) -> None:
-        """Write RAM, as EasyDMA does."""
         self._uc.mem_write(address, data)

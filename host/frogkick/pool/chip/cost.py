@@ -29,7 +29,7 @@ import numpy as np
 from capstone import arm
 
 from frogkick.pool.chip.bus import FLASH_BYTES, ChipError
-from frogkick.pool.chip.hook import Flag
+from frogkick.pool.chip.emulator import Flag
 from frogkick.pool.chip.image import FirmwareImage
 
 PARTS: Final = 256
@@ -84,7 +84,6 @@ _CORE: Final = frozenset(range(arm.ARM_REG_R0, arm.ARM_REG_R12 + 1)) | {arm.ARM_
 
 
 def disassembler() -> Any:
-    """What decodes the Cortex-M4's instructions, with details."""
     reader = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
     reader.detail = True
     return reader
@@ -100,7 +99,6 @@ def register_words(operands: Iterable[Any]) -> int:
 
 
 def _memory(instruction: Any) -> Any:
-    """Memory operand of a load or store, or None."""
     return next((one for one in instruction.operands if one.type == arm.ARM_OP_MEM), None)
 
 
@@ -223,7 +221,6 @@ class CostTable:
     """
 
     def __init__(self, flash: bytes) -> None:
-        """``flash``: the whole flash, as loaded."""
         self._flash = flash
         self.entries = (ctypes.c_uint32 * (FLASH_BYTES // 2))()
         self._last: dict[int, Decoded] = {}  # address -> what ends there, where a run was cut off
@@ -285,7 +282,6 @@ class Profile:
     """Counts that the hook fills while the chip runs."""
 
     def __init__(self, image: FirmwareImage) -> None:
-        """Start with zero counts; ``image`` has the functions."""
         self._image = image
         self.parts = (ctypes.c_uint64 * (FLASH_BYTES // 2))()
         self.visits = (ctypes.c_uint32 * (FLASH_BYTES // 2))()

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError, Peripheral, System, registers
 from frogkick.pool.chip.cost import PARTS
-from frogkick.pool.chip.hook import HookState, unicorn
+from frogkick.pool.chip.emulator import HookState, unicorn
 
 PAGE_BYTES: Final = 4096
 READ_ONLY, WRITE, ERASE = 0, 1, 2
@@ -26,10 +26,7 @@ BLOCK_WRITES_MAX: Final = 181
 
 
 class Flash:
-    """The flash behind NVMC."""
-
     def __init__(self, fail: Callable[[str], ChipError]) -> None:
-        """``fail`` makes an error with the program's place in it."""
         self._fail = fail
         self._uc: Any = None
         self._block_writes: Counter[int] = Counter()
@@ -53,7 +50,6 @@ class Flash:
         uc.ctl_flush_tb()  # code translated before a hook was added would not call it
 
     def configure(self, mode: int) -> None:
-        """CONFIG was written: writes by the core pass only in mode WRITE."""
         self.mode = mode
         if self._uc is not None:
             access = unicorn.UC_PROT_ALL if mode == WRITE else unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC
@@ -81,14 +77,12 @@ class Flash:
         self._state.time += WRITE_CYCLES * PARTS
 
     def require_erasable(self, address: int) -> None:
-        """Refuse an erase."""
         if self.mode != ERASE:
             raise self._fail(f"erase of the page at 0x{address:08x}: NVMC.CONFIG does not enable erasing")
         if address % PAGE_BYTES or not 0 <= address < FLASH_BYTES:
             raise self._fail(f"erase at 0x{address:08x}: no page of flash begins there")
 
     def erase(self, address: int) -> None:
-        """Erase a page."""
         self._uc.mem_write(address, b"\xff" * PAGE_BYTES)
         for block in range(address // BLOCK_BYTES, (address + PAGE_BYTES) // BLOCK_BYTES):
             self._block_writes[block] = 0
@@ -96,7 +90,6 @@ class Flash:
         self._state.time += ERASE_CYCLES * PARTS
 
     def word(self, address: int) -> int:
-        """One word of it."""
         return int.from_bytes(self._uc.mem_read(address, 4), "little")
 
     def content(self) -> bytes:
@@ -115,7 +108,6 @@ class Nvmc(Peripheral):
     RESET_VALUES = {"READY": 1}
 
     def __init__(self, system: System, on_cache: Callable[[bool], None], flash: Flash) -> None:
-        """``on_cache`` hears when the cache is switched."""
         super().__init__(system)
         self._on_cache = on_cache
         self._flash = flash
@@ -125,7 +117,6 @@ class Nvmc(Peripheral):
         self._erase = system.scheduler.add(lambda: flash.erase(self.values["ERASEPAGE"]))
 
     def on_write(self, name: str, value: int) -> None:
-        """Switch the cache, allow writing or erasing, erase."""
         if name == "ERASEPAGE":
             self._flash.require_erasable(value)
             self.values[name] = value

@@ -42,7 +42,6 @@ class FirmwareImage:
 
     @cached_property
     def symbols(self) -> dict[str, int]:
-        """Addresses by name."""
         return {each.name: each.address for each in self.table}
 
     @cached_property
@@ -58,7 +57,6 @@ class FirmwareImage:
 
     @property
     def stack_pointer(self) -> int:
-        """Initial stack pointer: first vector."""
         return int.from_bytes(self.flash[0:4], "little")
 
     @property
@@ -67,7 +65,6 @@ class FirmwareImage:
         return int.from_bytes(self.flash[4:8], "little") & ~1
 
     def function_at(self, address: int) -> str:
-        """Name of the function at an address, or '?'."""
         place = bisect.bisect_right(self.functions, (address, "\U0010ffff")) - 1
         return self.functions[place][1] if place >= 0 else "?"
 
@@ -149,23 +146,14 @@ _FLOAT, _SIGNED, _UNSIGNED = 4, (5, 6, 13), (2, 7, 8)
 """DW_ATE_ numbers of base types: DWARF 4, section 7.8."""
 
 
-class Layouts:
-    """Types of a firmware by the names of their typedefs."""
+class Layouts(dict[str, "np.dtype[Any]"]):
+    """Types of a firmware by the names of their typedefs, members at the firmware's own offsets."""
 
     def __init__(self, elf_path: Path | str) -> None:
-        """Find the typedefs of an ELF."""
-        self._types = _types_of(Path(elf_path).read_bytes(), Path(elf_path).name)
+        super().__init__(_types_of(Path(elf_path).read_bytes(), Path(elf_path).name))
 
-    def __getitem__(self, name: str) -> np.dtype[Any]:
-        """Return a type, members at the firmware's own offsets."""
-        found: np.dtype[Any] | None = self._types.get(name)
-        if found is None:
-            raise ChipError(f"the firmware has no type {name!r} that can be written from outside")
-        return found
-
-    def __contains__(self, name: str) -> bool:
-        """Whether the firmware has a type of that name."""
-        return self._types.get(name) is not None
+    def __missing__(self, name: str) -> np.dtype[Any]:
+        raise ChipError(f"the firmware has no type {name!r} that can be written from outside")
 
 
 @lru_cache(maxsize=8)  # reading takes a second
@@ -178,7 +166,8 @@ def _types_of(content: bytes, name: str) -> dict[str, Any]:
         for die in unit.iter_DIEs():
             if die.tag == "DW_TAG_typedef" and "DW_AT_type" in die.attributes:
                 dies.setdefault(die.attributes["DW_AT_name"].value.decode(), die)
-    return {name: _dtype(die) for name, die in dies.items() if name.startswith("fk_")}
+    types = {name: _dtype(die) for name, die in dies.items() if name.startswith("fk_")}
+    return {name: found for name, found in types.items() if found is not None}
 
 
 def _dtype(die: Any) -> Any:

@@ -21,19 +21,16 @@ class Gpio(Peripheral):
     PAIR_BITS = (1 << PINS) - 1
 
     def __init__(self, system: System) -> None:
-        """Start with all pins as inputs."""
         super().__init__(system)
         self._task_levels: dict[int, bool] = {}
         self._levels = [False] * PINS
         self.edges: list[tuple[int, int, bool]] = []
 
     def on_write(self, name: str, value: int) -> None:
-        """Configure a pin."""
         self.values[name] = value
         self.on_pair()
 
     def on_pair(self) -> None:
-        """Pins have been set, cleared or configured."""
         for pin in range(PINS):
             self._update(pin)
 
@@ -67,20 +64,17 @@ class Gpiote(Peripheral):
     ]
 
     def __init__(self, system: System, gpio: Gpio, on_clear: Callable[[int], None]) -> None:
-        """Start with all channels off, beside their port; ``on_clear`` hears of each CLR task's channel."""
         super().__init__(system)
         self._gpio = gpio
         self._on_clear = on_clear
 
     def on_write(self, name: str, value: int) -> None:
-        """Hand a pin to a channel."""
         if value & 3 != _MODE_TASK:
             raise self.refuse(name, value, "only task mode is modelled")
         self.values[name] = value
         self._gpio.drive(value >> 8 & 0x1F, bool(value >> 20 & 1))
 
     def on_task(self, name: str) -> None:
-        """Set or clear the channel's pin; a channel that is off does nothing."""
         if name.startswith("TASKS_CLR"):
             self._on_clear(int(name[-2]))
         config = self.values[f"CONFIG[{name[-2]}]"]
@@ -107,7 +101,6 @@ class Ppi(Peripheral):
     PAIR_BITS = (1 << _PPI_CHANNELS) - 1
 
     def on_write(self, name: str, value: int) -> None:
-        """Set a channel's ends or a group."""
         if name.startswith("CHG"):
             self.allow(name, value & ~self.PAIR_BITS, (0,))
         elif not self.system.has_register(value, "EVENTS_" if name.endswith("EEP") else "TASKS_"):
@@ -115,7 +108,6 @@ class Ppi(Peripheral):
         self.values[name] = value
 
     def on_task(self, name: str) -> None:
-        """Switch a group's channels off."""
         self.values["CHEN"] &= ~self.values[name.removeprefix("TASKS_").removesuffix(".DIS")]
 
     def pass_on(self, event_address: int) -> None:
@@ -150,18 +142,21 @@ class Saadc(Peripheral):
         *array("rw", "CH[{}].PSELP", 0x510, _INPUTS, 16),
         *array("rw", "CH[{}].CONFIG", 0x518, _INPUTS, 16),
     ]
+    KNOWN = {
+        "RESOLUTION": (2,),
+        **{f"CH[{n}].CONFIG": (_TACQ_40_US,) for n in range(_INPUTS)},
+        **{f"CH[{n}].PSELP": range(_INPUTS + 1) for n in range(_INPUTS)},
+    }
 
     works = True  # whether conversions ever end
 
     def __init__(self, system: System, power: Power) -> None:
-        """Disabled; ``power`` knows the voltages at the pins."""
         super().__init__(system)
         self._power = power
         self._is_started = False
         self._done = system.scheduler.add(self._end)
 
     def _channels(self) -> list[int]:
-        """Inputs of the channels in use, in their order."""
         return [self.values[f"CH[{n}].PSELP"] - 1 for n in range(_INPUTS) if self.values[f"CH[{n}].PSELP"]]
 
     def _end(self) -> None:
@@ -174,18 +169,7 @@ class Saadc(Peripheral):
         self._is_started = False
         self.raise_event("EVENTS_END")
 
-    def on_write(self, name: str, value: int) -> None:
-        """Settings that the model has, and no others."""
-        if name.endswith(".CONFIG"):
-            self.allow(name, value, (_TACQ_40_US,))
-        elif name.endswith(".PSELP"):
-            self.allow(name, value, range(_INPUTS + 1))
-        elif name == "RESOLUTION":
-            self.allow(name, value, (2,))
-        self.values[name] = value
-
     def on_task(self, name: str) -> None:
-        """Take the buffer, or convert every channel once into it."""
         channels = self._channels()
         if not self.values["ENABLE"] or not channels:
             raise self.refuse(name, 1, "it is not enabled, or has no channel")

@@ -44,7 +44,6 @@ class Power(Peripheral):
     _is_below = False
 
     def __init__(self, system: System) -> None:
-        """Well supplied, nothing at the analogue inputs."""
         super().__init__(system)
         self.input_v = [0.0] * 8  # at the analogue inputs AIN0 to AIN7
 
@@ -54,7 +53,6 @@ class Power(Peripheral):
         self._is_below = self.constant_latency = False
 
     def set_supply(self, supply_v: float) -> None:
-        """Another supply from now on, V."""
         self.supply_v = supply_v
         self._compare()
 
@@ -68,7 +66,6 @@ class Power(Peripheral):
             self.raise_event("EVENTS_POFWARN")
 
     def on_task(self, name: str) -> None:
-        """Go back to the mode after a reset."""
         self.constant_latency = False
 
     def on_clear_task(self, channel: int) -> None:
@@ -76,7 +73,6 @@ class Power(Peripheral):
         self.constant_latency = channel % 2 == 0
 
     def on_write(self, name: str, value: int) -> None:
-        """Take reasons back; switch the comparator."""
         if name == "RESETREAS":
             self.values[name] &= ~value
             return
@@ -95,9 +91,10 @@ class Watchdog(Peripheral):
         *array("w", "RR[{}]", 0x600, 8),
     ]
     RESET_VALUES = {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
+    # Paused in sleep it would not see a robot that never wakes.
+    KNOWN = {"CRV": range(_CRV_MIN, 1 << 32), "RREN": (1,), "CONFIG": (_CONFIG_SLEEP_RUN,)}
 
     def __init__(self, system: System, on_timeout: Callable[[], None]) -> None:
-        """``on_timeout`` resets the chip."""
         super().__init__(system)
         self._running = False
         self.started_cycle = NEVER
@@ -122,14 +119,12 @@ class Watchdog(Peripheral):
         self.system.scheduler.at(self._timeout, self._due)
 
     def on_task(self, name: str) -> None:
-        """Start; a second time does nothing."""
         if not self._running:
             self._running = True
             self.started_cycle = self.system.now_cycle
             self._reload()
 
     def on_write(self, name: str, value: int) -> None:
-        """Set it up while it does not run yet, or feed it."""
         if name.startswith("RR["):
             if value != _RELOAD:
                 raise self.refuse(name, value, "only 0x6e524635 reloads the watchdog")
@@ -140,12 +135,7 @@ class Watchdog(Peripheral):
             return
         if self._running:
             raise self.refuse(name, value, "the watchdog runs: nothing can be changed until a reset")
-        if name == "CRV":
-            self.allow(name, value, range(_CRV_MIN, 1 << 32))
-        else:
-            # Paused in sleep it would not see a robot that never wakes.
-            self.allow(name, value, (_CONFIG_SLEEP_RUN,) if name == "CONFIG" else (1,))
-        self.values[name] = value
+        super().on_write(name, value)
 
 
 class Clock(Peripheral):
@@ -160,7 +150,6 @@ class Clock(Peripheral):
     RESET_VALUES = {"HFCLKSTAT": _RUNNING}
 
     def __init__(self, system: System, power: Power, timers: Sequence[Timer]) -> None:
-        """Start on the internal oscillator, by which the timers count; ``power`` outlives a reset."""
         super().__init__(system)
         self._power = power
         power.constant_latency = False
@@ -177,13 +166,11 @@ class Clock(Peripheral):
         self.raise_event("EVENTS_HFCLKSTARTED")
 
     def break_down(self) -> None:
-        """The crystal stops, and will not start again."""
         self._power.crystal_works = False
         self.system.scheduler.at(self._started, NEVER)
         self._switch(False)
 
     def on_task(self, name: str) -> None:
-        """Start the crystal."""
         if self._power.crystal_works:
             self.system.scheduler.at(self._started, self.system.now_cycle + HFXO_START_CYCLES)
 
@@ -208,20 +195,14 @@ class Rng(Peripheral):
         *registers("rw", EVENTS_VALRDY=0x100, CONFIG=0x504),
         *registers("r", VALUE=0x508),
     ]
+    KNOWN = {"CONFIG": (_DERCEN,)}  # the firmware needs bytes without bias
 
     def __init__(self, system: System) -> None:
-        """Stopped."""
         super().__init__(system)
         self._noise = random.Random(self.name)
         self._next = system.scheduler.add(self._make)
 
-    def on_write(self, name: str, value: int) -> None:
-        """Refuse to run without bias correction, whose bytes the firmware needs."""
-        self.allow(name, value, (_DERCEN,))
-        self.values[name] = value
-
     def on_task(self, name: str) -> None:
-        """Begin, or stop."""
         if name == "TASKS_START" and not self.values["CONFIG"] & _DERCEN:
             raise self.refuse(name, 1, "the bytes would be biased: set CONFIG.DERCEN first")
         at = self.system.now_cycle + RNG_BYTE_CYCLES if name == "TASKS_START" else NEVER

@@ -67,7 +67,6 @@ class StackAnalysis:
         self._frames: dict[int, _Frame] = {}
 
     def bound(self, function: str = "fk_reset") -> StackBound:
-        """The deepest chain of calls from a function on."""
         entry = self._entry(function)
         known: dict[int, _Deepest] = {}
         total, chain = self._deepest(entry, known, [])
@@ -84,7 +83,6 @@ class StackAnalysis:
 
     @property
     def functions(self) -> list[str]:
-        """Names of all functions."""
         return sorted(self._names.values())
 
     def _entry(self, function: str) -> int:

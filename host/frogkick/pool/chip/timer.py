@@ -34,10 +34,10 @@ class Timer(Peripheral):
         *array("rw", "CC[{}]", 0x540, CHANNELS),
     ]
     RESET_VALUES = {"PRESCALER": 4}
+    KNOWN = {"MODE": range(3), "BITMODE": range(4), "PRESCALER": range(10)}
     INTERRUPT_EVENTS = {16 + i: f"EVENTS_COMPARE[{i}]" for i in range(CHANNELS)}
 
     def __init__(self, system: System, number: int) -> None:
-        """Start stopped at 0."""
         self.name, self.base = f"TIMER{number}", 0x4000_8000 + 0x1000 * number
         super().__init__(system)
         self._running = False
@@ -71,7 +71,6 @@ class Timer(Peripheral):
         self._set(count, self._running)
 
     def _ticks(self) -> int:
-        """Ticks since the counter was set."""
         return (self.system.now_cycle - self._since) * 100 // self._tick_centicycles
 
     def _counter(self) -> int:
@@ -101,19 +100,15 @@ class Timer(Peripheral):
         self.raise_event(f"EVENTS_COMPARE[{channel}]")
 
     def on_write(self, name: str, value: int) -> None:
-        """Set a mode, a short or a compare value."""
-        if name in ("MODE", "BITMODE", "PRESCALER"):
-            if self._running:
-                raise self.refuse(name, value, "the timer runs, stop it first")
-            self.allow(name, value, {"MODE": range(3), "BITMODE": range(4), "PRESCALER": range(10)}[name])
+        if name in self.KNOWN and self._running:
+            raise self.refuse(name, value, "the timer runs, stop it first")
         if name == "SHORTS":
             self.allow(name, value & ~0x0F0F, (0,))
-        self.values[name] = value
+        super().on_write(name, value)
         if name.startswith("CC"):
             self._schedule(int(name[3]))
 
     def on_task(self, name: str) -> None:
-        """Start, stop, count, clear or capture."""
         if name == "TASKS_START":
             self.draws = True
             if not self._running:

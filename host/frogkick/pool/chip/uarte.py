@@ -58,7 +58,6 @@ class Uarte(Peripheral):
     }
 
     def __init__(self, system: System) -> None:
-        """Start disabled."""
         super().__init__(system)
         self._arriving: deque[tuple[int, int]] = deque()
         self._line_free_cycle = 0
@@ -186,7 +185,6 @@ class Uarte(Peripheral):
         return pointer, count
 
     def on_write(self, name: str, value: int) -> None:
-        """Configure, enable, or set a buffer for the next start."""
         if name == "ERRORSRC":
             self.values[name] &= ~value
             return
@@ -210,7 +208,6 @@ class Uarte(Peripheral):
             self._fifo.clear()
 
     def on_task(self, name: str) -> None:
-        """Start or stop a direction."""
         if name == "TASKS_STARTRX":
             self._start_reception()
         elif name == "TASKS_STARTTX":

@@ -9,8 +9,15 @@ from unicorn import arm_const
 from frogkick.core.interrupts import ctrl_c_comes_after
 from frogkick.pool.chip.bus import RAM_BASE, RAM_BYTES, ChipError
 from frogkick.pool.chip.chip import VirtualChip
-from frogkick.pool.chip.emulator import RETURN_ADDRESS, add_hooks, bare_core, set_arguments
-from frogkick.pool.chip.hook import HookState, Stop, unicorn
+from frogkick.pool.chip.emulator import (
+    RETURN_ADDRESS,
+    HookState,
+    Stop,
+    add_hooks,
+    bare_core,
+    set_arguments,
+    unicorn,
+)
 
 _LONGEST: Final = 2_000_000_000
 """Instructions of a call that does not end."""
@@ -33,11 +40,9 @@ class UncountedCalls:
         add_hooks(self._uc, self._state, {unicorn.UC_HOOK_BLOCK: "fk_hook_block"})
 
     def ram_write(self, address: int, data: bytes) -> None:
-        """Write to the copy's RAM."""
         self._uc.mem_write(address, data)
 
     def ram_read(self, address: int, count: int) -> bytes:
-        """Read the copy's RAM."""
         return bytes(self._uc.mem_read(address, count))
 
     @ctrl_c_comes_after()

@@ -40,27 +40,16 @@ class DepthTime:
 
 @dataclass(frozen=True)
 class Figures:
-    """Measured on the emitted files themselves, compiled for the nRF52832.
+    """Measured on the emitted files themselves, compiled for the nRF52832."""
 
-    Attributes:
-        compiler: that built them, with its version.
-        flags: that decide on size and speed.
-        code_bytes: flash of the planner's code and constants, without the table.
-        ram_bytes: type of the interface -> its size.
-        static_bytes: RAM that the planner keeps itself.
-        stack_bytes: the most that a call of the function can use, by function.
-        open_ms: checking and opening the table, once after start-up.
-        times: depth -> times of a decision.
-    """
-
-    compiler: str
-    flags: str
-    code_bytes: int
-    ram_bytes: Mapping[str, int]
-    static_bytes: int
-    stack_bytes: Mapping[str, int]
-    open_ms: float
-    times: Mapping[int, DepthTime]
+    compiler: str  # that built them, with its version
+    flags: str  # that decide on size and speed
+    code_bytes: int  # flash of the planner's code and constants, without the table
+    ram_bytes: Mapping[str, int]  # type of the interface -> its size
+    static_bytes: int  # RAM that the planner keeps itself
+    stack_bytes: Mapping[str, int]  # the most that a call of the function can use, by function
+    open_ms: float  # checking and opening the table, once after start-up
+    times: Mapping[int, DepthTime]  # depth -> times of a decision
 
 
 _MARK = "Do not edit: made by frogkick codegen"
@@ -175,8 +164,7 @@ def filled(name: str, **values: Any) -> str:
 def portable_command(command: str) -> str:
     """Return a command line without this machine's folders: absolute paths keep their last part.
 
-    Raises:
-        InputError: it is empty, has unbalanced quotes, or holds what would end a C comment or a line.
+    InputError where it is empty, has unbalanced quotes, or holds what would end a C comment or a line.
     """
     try:
         words = shlex.split(command)
@@ -297,16 +285,7 @@ NOT_PLANNER = ("main", "fk_reset", "fk_fault", "fk_clock_init", "memcpy", "memse
 
 
 def build_planner(emitted: Path, elf: Path) -> Path:
-    """Build the planner of an emitted directory for the chip.
-
-    Args:
-        emitted: what ``emit`` wrote.
-        elf: where the image goes.
-
-    Raises:
-        InputError: the chip's start-up code is not installed.
-        ToolchainError: no compiler, or a refused source.
-    """
+    """Build the planner of an emitted directory for the chip, into ``elf``."""
     bench = firmware_sources() / "bench"
     main = resources.files("frogkick_codegen") / "templates" / "measure_main.c"
     with resources.as_file(main) as file:

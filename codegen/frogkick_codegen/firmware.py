@@ -102,11 +102,7 @@ def _require_limits(robot: Robot) -> None:
 
 
 def robot_config(robot: Robot) -> str:
-    """The header that carries the robot's limits and planner defaults into the core.
-
-    Raises:
-        InputError: a limit of the guard is beyond what the firmware takes for any robot.
-    """
+    """The header that carries the robot's limits and planner defaults into the core."""
     _require_limits(robot)
     guard, planner, battery = robot.guard, robot.planner, robot.battery
     inputs = battery.inputs if battery is not None else ()
@@ -200,13 +196,6 @@ def _workshop(target: str, made: Mapping[str, bytes]) -> Iterator[Path]:
 
     It is the same folder each time, and files that have not changed stay: zig then compiles little more than
     the table. First lines that name the table and the robot are blank here, so only what they say changes.
-
-    Args:
-        target: as for ``build``.
-        made: emitted files and the robot's header, by name.
-
-    Raises:
-        ToolchainError: the folder cannot be written.
     """
     files = {
         f"{'config' if name == 'fk_robot_config.h' else 'emitted'}/{name}": _without_banner(content)
@@ -245,12 +234,7 @@ def _without_banner(content: bytes) -> bytes:
 
 
 def require_tools(target: str) -> None:
-    """Refuse a target that cannot be built here: what a build looks for, and ``doctor`` with it.
-
-    Raises:
-        InputError: the sources or a package are not installed.
-        ToolchainError: the compiler is not.
-    """
+    """Refuse a target that cannot be built here: what a build looks for, and ``doctor`` with it."""
     firmware_sources()
     zig("chip" if target == "bench" else "host")
     if target == "bench":
@@ -351,11 +335,7 @@ def _hex_of(elf: Path) -> Path:
 
 
 def image_sizes(elf: Path) -> tuple[int, int, int]:
-    """Flash, RAM and reserved stack of a built bench image (ELF), bytes.
-
-    Raises:
-        InputError: more than the chip has, or no ELF of this firmware.
-    """
+    """Flash, RAM and reserved stack, bytes, of a bench image (ELF); InputError where the chip has less."""
     from elftools.common.exceptions import ELFError
     from elftools.elf.elffile import ELFFile
 

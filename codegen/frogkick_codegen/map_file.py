@@ -14,15 +14,6 @@ def write_map(elf: Path) -> Path:
     """Write the map of an ELF beside it: sections, then every function and object by address, with its size.
 
     zig's linker makes none; this one is read from the image itself.
-
-    Args:
-        elf: linked image.
-
-    Returns:
-        The map: text, one symbol a line: address, bytes, section, name.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     from elftools.elf.elffile import ELFFile
 

@@ -63,9 +63,6 @@ def build_shared(
 
     Returns:
         The library, in the user's cache folder; it carries its declarations (``core.shared_library.load``).
-
-    Raises:
-        ToolchainError: no compiler, a refused source, or no writable cache folder.
     """
     driver = zig() if compiler is None else compiler
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
@@ -123,15 +120,7 @@ class NativeLibrary:
         compiler: Compiler | None = None,
         flags: Sequence[str] = FLAGS,
     ) -> None:
-        """Build (or find) the library and load it.
-
-        Args:
-            files: planner files; the package's own where it is None.
-            compiler, flags: as for ``build_shared``.
-
-        Raises:
-            ToolchainError: as ``build_shared``, or the library does not load.
-        """
+        """Build (or find) the library and load it. ``files``: the planner's; None: the package's own."""
         every = dict(planner_files() if files is None else files)
         every |= native_entries("native_batch.c")
         path = build_shared("fk_planner", every, compiler, flags)
@@ -161,16 +150,9 @@ class NativeLibrary:
         """Plan from many states, as ``frogkick.planner.plan.plan_batch`` does, in C.
 
         Args:
-            image: a whole table image.
+            image: a whole table image; TableError, with its fk_error_t, where the C refuses it.
             path, config, states, depths, limb_use, along_points: as there.
             lost: (8,) share that each limb has lost, 0 to 32767; None: none.
-
-        Returns:
-            (k,) array of ``PLAN_ROW``.
-
-        Raises:
-            TableError: the C refuses the image; the text has its fk_error_t.
-            InputError: the arrays' shapes do not fit.
         """
         queries, many = query_rows(config, states, depths)
         levels = many.astype(np.int32)
@@ -237,18 +219,9 @@ class BlockCounter:
         limb_use: UInt16,
         along_points: Float32,
     ) -> npt.NDArray[np.uint32]:
-        """Count the blocks of decisions.
+        """Count how often each block runs for each state: (k, blocks). TableError where the C refuses one.
 
-        Args:
-            image: a whole table image.
-            path, config: as for ``plan_batch``; the depth is the configuration's.
-            states, limb_use, along_points: (k, 6), (k, 8), (k,) as there.
-
-        Returns:
-            (k, blocks) how often each block ran for each state.
-
-        Raises:
-            TableError: the C refuses the image, the path, the configuration or a state.
+        The arguments are those of ``plan_batch``; the depth is the configuration's.
         """
         ffi = self._ffi
         blocks = np.zeros((len(states), self._library.fk_native_blocks()), dtype=np.uint32)

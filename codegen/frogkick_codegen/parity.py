@@ -57,22 +57,14 @@ class Cases:
 
 @dataclass(frozen=True)
 class PairReport:
-    """How two places compare.
-
-    Attributes:
-        first, second: the places' names.
-        states: how many were compared.
-        mismatches: states in which anything differs.
-        fields: field of ``PLAN_ROW`` -> states in which it differs (float fields by their bits).
-        first_failure: one line on the first of them, with what replays it; "" without any.
-    """
+    """How two places compare."""
 
     first: str
     second: str
-    states: int
-    mismatches: int
-    fields: Mapping[str, int]
-    first_failure: str
+    states: int  # how many were compared
+    mismatches: int  # states in which anything differs
+    fields: Mapping[str, int]  # field of ``PLAN_ROW`` -> states in which its bits differ
+    first_failure: str  # one line on the first of them, with what replays it; "" without any
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,16 +282,9 @@ KINDS = tuple(_MAKERS)
 def make_cases(
     tables: Tables, path: PathLike, count: int, seed: int, depth_share: Sequence[float] = DEPTH_SHARE
 ) -> Cases:
-    """Make states of every kind in turn.
+    """Make ``count`` states of every kind in turn.
 
-    Args:
-        tables, path: what they will be planned with.
-        count: how many.
-        seed: the same seed gives the same states.
-        depth_share: parts of depth 1, 2, 3, 4; they sum to 1.
-
-    Raises:
-        InputError: ``count`` is below 1.
+    ``depth_share`` has the parts of depth 1, 2, 3, 4, which sum to 1.
     """
     if count < 1:
         raise InputError(f"{count} states asked for, at least 1 is needed: choose --states")
@@ -319,15 +304,9 @@ def make_cases(
 
 
 def find_ties(tables: Tables, rng: np.random.Generator, wanted: int = _TIES_WANTED) -> Int64:
-    """Return velocities in codes that have two or more nearest rows at exactly the same distance.
+    """Return velocities in codes, (k, 3), that have two or more nearest rows at exactly the same distance.
 
-    Args:
-        tables: the table.
-        rng: chooses the rows to start from.
-        wanted: stop at this many.
-
-    Returns:
-        (k, 3) int64 codes; fewer than wanted, or none, where a table offers no more.
+    They are fewer than wanted, or none, where a table offers no more.
     """
     codes = tables.states.astype(np.int64)
     offsets = np.array(list(itertools.product(range(-8, 9), repeat=3)), dtype=np.int64)
@@ -358,15 +337,7 @@ def native_place(library: NativeLibrary, tables: Tables, path: PathLike, config:
 
 
 def compare(cases: Cases, places: Mapping[str, Place]) -> list[PairReport]:
-    """Let every place plan every case and compare each pair of places.
-
-    Args:
-        cases: from ``make_cases``.
-        places: name -> place, at least two.
-
-    Raises:
-        FrogkickError: fewer than two places, or one returned no ``PLAN_ROW`` for each state.
-    """
+    """Let every place, by its name, plan every case, and compare each pair of places."""
     if len(places) < 2:
         raise FrogkickError(f"{len(places)} place given, a comparison needs 2: add a place")
     results: dict[str, AnyArray] = {}

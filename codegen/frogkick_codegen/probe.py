@@ -22,11 +22,7 @@ class ProbeError(FrogkickError):
 
 
 def check_image(image: Path) -> int:
-    """Length in bytes of an Intel HEX that fits the chip.
-
-    Raises:
-        InputError: it is none, is empty, or has bytes outside of the chip's flash; no package to read it.
-    """
+    """Length in bytes of an Intel HEX that fits the chip; InputError for any other file."""
     require("an Intel HEX", "intelhex")
     from intelhex import HexReaderError, IntelHex
 
@@ -97,11 +93,7 @@ def _programmer(session: Any, progress: Callable[[int, int], None]) -> Any:
 
 
 def probes(unique_id: str | None = None) -> list[Any]:
-    """pyOCD's probes that are plugged in; with ``unique_id`` those whose number begins so.
-
-    Raises:
-        InputError: the package is not installed.
-    """
+    """pyOCD's probes that are plugged in; with ``unique_id`` those whose number begins so."""
     require("flashing", "pyocd")
     logging.getLogger("pyocd").setLevel(logging.CRITICAL)  # what matters of it is in the errors
     helpers = importlib.import_module("pyocd.core.helpers").ConnectHelper

@@ -44,29 +44,17 @@ class ToolchainError(FrogkickError):
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler driver.
+    """A C compiler driver."""
 
-    Attributes:
-        name: "zig", "gcc", "clang" or "arm-none-eabi-gcc".
-        command: how to call it.
-        target_flags: flags that choose the machine it builds for.
-        version: its first version line.
-    """
-
-    name: str
-    command: tuple[str, ...]
-    target_flags: tuple[str, ...]
-    version: str
+    name: str  # "zig", "gcc", "clang" or "arm-none-eabi-gcc"
+    command: tuple[str, ...]  # how to call it
+    target_flags: tuple[str, ...]  # flags that choose the machine it builds for
+    version: str  # its first version line
 
     def run(self, arguments: Sequence[str | Path], folder: Path | None = None) -> None:
-        """Call the compiler.
+        """Call the compiler with these arguments, after the target's flags, in a working directory.
 
-        Args:
-            arguments: after the driver's name and the target's flags.
-            folder: working directory; the current one where it is None.
-
-        Raises:
-            ToolchainError: it failed or ran over 300 s; the text has its first lines.
+        ToolchainError, with its first lines, where it failed or ran over 300 s.
         """
         command = [*self.command, *self.target_flags, *(str(argument) for argument in arguments)]
         result = _run(self.name, command, folder)
@@ -81,13 +69,10 @@ class Compiler:
 
 
 def zig(target: str = "host") -> Compiler:
-    """Return the compiler of the ziglang wheel.
+    """Return the compiler of the ziglang wheel for a target.
 
     Args:
         target: "host" for this machine, "chip" for the nRF52832 (Cortex-M4 with single-precision FPU).
-
-    Raises:
-        ToolchainError: the wheel is not installed, or the target is unknown.
     """
     targets = {"host": ZIG_HOST, "chip": ZIG_CHIP}
     if target not in targets:
@@ -100,10 +85,8 @@ def zig(target: str = "host") -> Compiler:
 def zig_folders() -> list[Path]:
     """Where the wheel with zig is, its own headers among it, for what must not name that place."""
     found = importlib.util.find_spec("ziglang")
-    places = (
-        [] if found is None else [Path(place).resolve() for place in found.submodule_search_locations or ()]
-    )
-    return places
+    places = () if found is None else found.submodule_search_locations or ()
+    return [Path(place).resolve() for place in places]
 
 
 @cache
@@ -113,14 +96,7 @@ def _version_of_zig(driver: tuple[str, ...]) -> str:
 
 
 def other(name: str) -> Compiler | None:
-    """Return a compiler of this machine, or None where it has none of that name.
-
-    Args:
-        name: "gcc", "clang" (for this machine) or "arm-none-eabi-gcc" (for the chip).
-
-    Raises:
-        ToolchainError: the name is unknown.
-    """
+    """Return "gcc", "clang" or, for the chip, "arm-none-eabi-gcc", or None where this machine has none."""
     if name not in _OTHERS:
         raise ToolchainError(f"compiler {name!r} is not known{nearest_name(name, _OTHERS)}: use zig()")
     path = shutil.which(name)
@@ -178,9 +154,6 @@ def built_once(
         places: sources, folders of headers and such; where they are must not change a byte of the output.
         files: all that is read there, in the same order each time.
         output: what is made, where it must be.
-
-    Raises:
-        ToolchainError: a refused source, or no cache folder.
     """
     digest = hashlib.sha256()
     for text in (compiler.name, compiler.version, *compiler.target_flags, *flags):
@@ -210,11 +183,7 @@ _PARTS = ("core", "bench")
 
 
 def firmware_sources() -> Path:
-    """Return the folder that holds the core, the bench image's port and the Zephyr application.
-
-    Raises:
-        InputError: it is in neither place.
-    """
+    """Return the folder that holds the core, the bench image's port and the Zephyr application."""
     for folder in _PLACES:
         if all((folder / part).is_dir() for part in _PARTS):
             return folder

@@ -32,9 +32,8 @@ class _Server(ThreadingHTTPServer):
 def serving(handler: type[QuietHandler], port: int = 0) -> Iterator[str]:
     """Serve as long as the context lives; yield the address, without a slash at its end.
 
-    Args:
-        handler: answers each request in a thread of its own.
-        port: TCP port; 0: a free one. InputError where it is taken, or is none.
+    A handler answers each request in a thread of its own. InputError where the TCP port (0: a free one) is
+    taken, or is none.
     """
     try:
         server = _Server((HOST, port), handler)

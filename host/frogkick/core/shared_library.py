@@ -25,14 +25,10 @@ def ffi_of(texts: tuple[str, ...]) -> cffi.FFI:
 
 
 def load(library: Path) -> tuple[cffi.FFI, Any]:
-    """Load a shared library that this project built.
+    """Load a shared library that this project built: the interface of its declarations, and the library.
 
-    Returns:
-        The cffi interface of its declarations, and the library.
-
-    Raises:
-        OSError: the library cannot be loaded.
-        FrogkickError: it contains no declarations, or a type has another size than its compiler reported.
+    OSError where it cannot be loaded, FrogkickError where it contains no declarations or a type has another
+    size than its compiler reported.
     """
     first = cffi.FFI()
     first.cdef(_CARRIED)

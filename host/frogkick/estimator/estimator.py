@@ -35,20 +35,12 @@ _MICROSECOND = np.float32(1e-6)
 
 @dataclass(frozen=True)
 class Estimate:
-    """The state at a time.
+    """The state at a time."""
 
-    Attributes:
-        state: (6,) float32 x_m, y_m, heading_rad (world), vx_mps, vy_mps, omega_rad_s (body).
-        limb_use: (8,) uint16 recent use of each limb.
-        fix_sequence: number of the newest fix in the estimate.
-        fixes: number of fixes in the estimate, at most 255. After one fix the velocity is unknown and taken
-            as zero.
-    """
-
-    state: Float32
-    limb_use: UInt16
-    fix_sequence: int
-    fixes: int
+    state: Float32  # (6,) x_m, y_m, heading_rad (world), vx_mps, vy_mps, omega_rad_s (body)
+    limb_use: UInt16  # (8,) recent use of each limb
+    fix_sequence: int  # number of the newest fix in it
+    fixes: int  # in it, at most 255; after one the velocity is unknown and taken as zero
 
 
 class Estimates(Protocol):
@@ -56,11 +48,8 @@ class Estimates(Protocol):
 
     @property
     def newest_capture_us(self) -> int | None: ...
-
     def add(self, capture_us: int, pose_world: Float32, sequence: int) -> int: ...
-
     def act(self, at_us: int, action: int) -> None: ...
-
     def at(self, at_us: int) -> Estimate | None: ...
 
 

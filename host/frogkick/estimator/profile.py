@@ -17,20 +17,16 @@ _GLIDE_PART = _F(0.41666667)
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Pose and speed at a time within a period, as weights of those at its start and end.
+    """Pose and speed at a time within a period, as weights of those at its start and end."""
 
-    Attributes:
-        pose, speed: (4,) float32 weights of pose and speed at the start, pose and speed at the end.
-        error_share: share of the profile's own error: 0 at both ends, below 1 in between.
-    """
-
+    # (4,) weights of pose and speed at the start, pose and speed at the end
     pose: Float32
     speed: Float32
-    error_share: np.float32
+    error_share: np.float32  # of the profile's own error: 0 at both ends, below 1 in between
 
 
 def profile_after(after_s: np.float32) -> Profile:
-    """Return the weights at a time after the end of a period, where the speed is taken as constant."""
+    """Return the weights after the end of a period, where the speed is taken as constant."""
     return Profile(
         np.array([0, 0, 1, after_s], dtype=np.float32), np.array([0, 0, 0, 1], dtype=np.float32), _F(0)
     )
@@ -39,12 +35,8 @@ def profile_after(after_s: np.float32) -> Profile:
 def profile_within(since_s: np.float32, period_s: np.float32, fire_s: np.float32) -> Profile:
     """Return the weights at a time within a period.
 
-    The speed changes linearly while limbs fire. Then it decays as (u + u^2) / 2, where u falls from 1 to 0.
-
-    Args:
-        since_s: time since the start of the period.
-        period_s: length of the period.
-        fire_s: time from the start to the end of the last limb's pulse.
+    The speed changes linearly while limbs fire, until ``fire_s`` after the start. Then it decays as
+    (u + u^2) / 2, where u falls from 1 to 0.
     """
     one, half = _F(1), _F(0.5)
     x = since_s / period_s

@@ -203,15 +203,9 @@ class Track:
         return weighted(profile.pose, there), weighted(profile.speed, there)
 
     def update(self, at_us: int, pose: Float32, gated: bool = True) -> bool:
-        """Correct all states by a measured pose.
+        """Correct all states by a pose (3,), world, measured not before the oldest instant.
 
-        Args:
-            at_us: when it was measured, not before the oldest instant.
-            pose: (3,) x_m, y_m, heading_rad, world frame.
-            gated: whether the gate applies.
-
-        Returns:
-            Whether the pose was used: False if the gate refuses it.
+        Returns whether it was used: False if the gate refuses it.
         """
         first, profile = self._profile(at_us)
         here = slice(2 * first, 2 * first + 4)

@@ -49,14 +49,7 @@ class WearFilter:
     """
 
     def __init__(self, tables: Tables) -> None:
-        """Start with nothing lost.
-
-        Args:
-            tables: tables of the robot with new limbs.
-
-        Raises:
-            InputError: the tables hold no wear curves.
-        """
+        """Start with nothing lost, from the tables of new limbs; InputError: they hold no wear curves."""
         if not tables.limb_wear.size:
             raise InputError(
                 "the table holds no wear curves to learn by: build it again, or do without learn"
@@ -67,11 +60,7 @@ class WearFilter:
         self.restart([0] * tables.limbs)
 
     def restart(self, codes: Sequence[int]) -> None:
-        """Start from shares, each with a standard deviation of a quarter of it, and no current.
-
-        Args:
-            codes: (l,), see the attribute.
-        """
+        """Start from shares, each with a standard deviation of a quarter of it, and no current."""
         unknowns = 3 + self._original.limbs
         self._information = np.zeros((unknowns, unknowns), dtype=np.float32)
         self._vector = np.zeros(unknowns, dtype=np.float32)
@@ -86,11 +75,8 @@ class WearFilter:
     def restore(self, sums: Float32, vector: Float32, current: Float32, codes: Sequence[int]) -> None:
         """Restore the state of a robot's snapshot, of n = l + 3 unknowns.
 
-        Args:
-            sums: (n (n + 1) / 2,) lower triangle of the information matrix.
-            vector: (n,) right-hand side of the normal equations.
-            current: (3,), see the attribute.
-            codes: (l,), see the attribute.
+        ``sums`` (n (n + 1) / 2,) is the lower triangle of the information matrix, ``vector`` (n,) the right-
+        hand side of the normal equations.
         """
         lower = np.zeros_like(self._information)
         lower[np.tril_indices(len(vector))] = sums

@@ -99,9 +99,8 @@ class BleWire(Wire):
     ) -> None:
         """Find the robot by its advertised name or its address, within ``scan_s``, and connect.
 
-        Args:
-            reconnect_s: longest time to find it again after it dropped out.
-            greeting: sent at each connection; ends what a partial frame left in the robot's receiver.
+        It is looked for ``reconnect_s`` after it dropped out. ``greeting`` is sent at each connection; it
+        ends what a partial frame left in the robot's receiver.
         """
         super().__init__()
         self.name = f"ble:{place}"

@@ -136,7 +136,6 @@ def fetch_log(
     """Fetch a robot's log, during a run or at rest. The robot does not change.
 
     Args:
-        link: the session.
         known: an earlier fetch from the same robot, of which the result has the newer records too, in another
             stretch where records in between were overwritten. None if the robot was without supply in
             between, as it has started another log then.

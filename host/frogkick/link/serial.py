@@ -30,12 +30,10 @@ class SerialWire(Wire):
     def __init__(
         self, port: str, baud: int = BAUD, reconnect_s: float = RECONNECT_S, greeting: bytes = DELIMITER
     ) -> None:
-        """Open a port (``/dev/ttyACM0``, ``COM3``).
+        """Open a port (``/dev/ttyACM0``, ``COM3``) with ``baud`` bits per second.
 
-        Args:
-            baud: bits per second.
-            reconnect_s: longest time to reconnect.
-            greeting: sent at each connection; ends what noise may have left in the robot's receiver.
+        It is looked for ``reconnect_s`` after it went away. ``greeting`` is sent at each connection; it ends
+        what noise may have left in the robot's receiver.
         """
         super().__init__()
         self.name = f"serial:{port}"

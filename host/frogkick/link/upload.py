@@ -33,12 +33,8 @@ def upload(
 ) -> Uploaded:
     """Give a robot a table, which it uses from then on. The robot must be disarmed and its limbs rested.
 
-    A robot with one slot that holds the table in use returns to its built-in table first.
-
-    Args:
-        link: the session.
-        image: table image.
-        progress: called with the bytes on the robot and all bytes.
+    A robot with one slot that holds the table in use returns to its built-in table first. ``progress`` is
+    called with the bytes on the robot and all bytes.
     """
     here = _ask(link, "TABLE_STATUS")
     if len(image) > int(here["slot_bytes"]):

@@ -267,12 +267,9 @@ def glide_cost(
     before: AnyArray,
     turn: Any,
 ) -> Any:
-    """Return what it costs how far beside the route a branch's end glides to.
+    """Return what it costs how far beside the route a branch's end (``here``, at ``knot``) glides to.
 
-    Args:
-        knot, place: of the end; metres from knot 0.
-        here, before: x, y float32 of the end, and before its last motion.
-        turn: rad, of the last motion.
+    ``place`` is in m from knot 0; ``before`` is where its last motion began, ``turn`` rad what that turned.
     """
     dx, dy = here[0] - before[0], here[1] - before[1]
     glide_x = settings.glide_lead * (dx - turn * dy)
@@ -311,11 +308,8 @@ def end_angle(
 ) -> Any:
     """Return 2 sin(angle / 2), 0 to 2: between the robot's course and the direction to the route further on.
 
-    Args:
-        place: the position's, metres from knot 0.
-        position: x, y float32.
-        course_x, course_y: a vector along its course, of any length.
-        look_ahead: m beyond ``place``.
+    ``place`` is the position's, in m from knot 0, ``look_ahead`` m beyond it. The course is a vector of any
+    length.
     """
     last = len(knots) - 1
     steps = min((place + look_ahead) * (_F1 / step), np.float32(last))

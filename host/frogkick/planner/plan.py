@@ -119,30 +119,18 @@ def transitions_within(plan_us: int) -> int:
 
 @dataclass(frozen=True)
 class Plan:
-    """A decision.
+    """A decision."""
 
-    Attributes:
-        action: index into the table's actions.
-        nearest_state: row of the table nearest to the state's velocity.
-        path_index: path point nearest to the state (paper), last one that it has reached (route).
-        depth_reached, transitions: number of finished levels and of evaluated transitions.
-        cost: float32 sum over the best branch.
-        distance_m: float32 distance of the state from that point (paper), or from the path (route).
-        along_points: float32 place of the state along the path, in points; the next search starts there.
-        predicted: (6,) float32 state after the first action: pose world, velocity body.
-        predicted_limb_use: (8,) uint16 recent use of each limb after the first action.
-    """
-
-    action: int
-    nearest_state: int
-    path_index: int
-    depth_reached: int
-    transitions: int
-    cost: np.float32
-    distance_m: np.float32
-    along_points: np.float32
-    predicted: Float32
-    predicted_limb_use: UInt16
+    action: int  # index into the table's actions
+    nearest_state: int  # row of the table nearest to the state's velocity
+    path_index: int  # path point nearest to the state (paper), last one that it has reached (route)
+    depth_reached: int  # finished levels
+    transitions: int  # that were evaluated
+    cost: np.float32  # sum over the best branch
+    distance_m: np.float32  # of the state from that point (paper), or from the path (route)
+    along_points: np.float32  # place of the state along the path, in points; the next search starts there
+    predicted: Float32  # (6,) state after the first action: pose world, velocity body
+    predicted_limb_use: UInt16  # (8,) recent use of each limb after the first action
 
 
 def plan(

@@ -83,11 +83,9 @@ class NativeRobot(SimulatedPort):
         flash: bytes | None = None,
         learned: bytes = b"",
     ) -> None:
-        """Load the library and start the core.
+        """Load the library, with the core, the planner and a table, and start the core.
 
         Args:
-            library: shared library with the core, the planner and a table.
-            limbs: number of limbs of the robot.
             keep_calls: fill ``calls``.
             heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
                 lets them rest first.
@@ -222,13 +220,11 @@ class NativeRobot(SimulatedPort):
         return self._now_us * 1e-6
 
     def cut_power(self, off_s: float, idle_s: float = 0.0) -> None:
-        """Switch the supply off now, and on again.
+        """Switch the supply off now, and on again after ``off_s``.
 
-        Args:
-            off_s: time without supply.
-            idle_s: the robot's clock afterwards, as if it had been idle so long, without the port's time. Its
-                limbs count as cold then, so ``off_s`` must be longer than their duty's window. With 0 the
-                robot lets them rest first.
+        ``idle_s`` is the robot's clock afterwards, as if it had been idle so long, without the port's time.
+        Its limbs count as cold then, so ``off_s`` must be longer than their duty's window. With 0 the robot
+        lets them rest first.
         """
         self._pins_low(self._now_us * 1e-6)
         self._lose_ram()

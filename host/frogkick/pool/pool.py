@@ -42,8 +42,7 @@ class Pool:
         Args:
             robot: the robot without the effects of ``world``.
             pose_world: x_m, y_m, heading_rad of its start.
-            camera: rate, delay and noise of the fixes.
-            rng: for the noise; random effects get streams of their own.
+            rng: for the camera's noise; random effects get streams of their own.
             world: effects on the robot, the water and the camera; InputError for one that does not fit.
         """
         self.robot = robot

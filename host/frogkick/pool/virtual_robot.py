@@ -25,13 +25,10 @@ class VirtualRobot(SimulatedPort):
         heat_known: bool = True,
         learned: bytes = b"",
     ) -> None:
-        """Power the chip on.
+        """Power the chip on with an image of the target "bench".
 
-        Args:
-            elf: image of the target "bench".
-            limbs: number of limbs of the robot, at most as many as the board has pins.
-            flash: content of the flash when such a robot was switched off; None: that of the image.
-            heat_known, learned: see ``NativeRobot``.
+        ``flash`` is the content of such a robot's flash when it was switched off; None: that of the image.
+        For ``heat_known`` and ``learned`` see ``NativeRobot``.
         """
         if limbs > len(LIMB_PINS):
             raise InputError(

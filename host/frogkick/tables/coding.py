@@ -28,14 +28,9 @@ def bits_for(largest: Int64) -> Int64:
 
 
 def put_residuals(residuals: Int64, bits: Int64) -> bytes:
-    """Write rows of unsigned numbers as bits, the least significant first.
+    """Write rows (n, c) of unsigned numbers as bits, the least significant first.
 
-    Args:
-        residuals: (n, c) below 2**bits.
-        bits: (c,) 0 to 16 each.
-
-    Returns:
-        n rows of ceil(sum(bits) / 8) bytes.
+    ``bits`` (c,), 0 to 16 each: the numbers are below 2**bits.
     """
     row_bytes = (int(bits.sum()) + 7) // 8
     rows = np.zeros((len(residuals), row_bytes + 4), dtype=np.uint8)
@@ -69,38 +64,23 @@ def products(codes: Int16, up: Int64) -> Int64:
 
 
 def predictions(factors: Int64, coefficients: Int64, shift: Int64) -> Int64:
-    """Predicted values of a block, without residuals.
+    """Return the (n, c) predicted codes of a block, without residuals.
 
-    Args:
-        factors: (n, 10) of products().
-        coefficients: (10, c).
-        shift: (c,).
-
-    Returns:
-        (n, c) codes.
+    They follow from (n, 10) products(), (10, c) coefficients and (c,) shifts.
     """
     return np.asarray((factors @ coefficients) >> shift, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Coefficients of blocks of rows, and residuals.
+    """Coefficients of blocks of rows, and residuals."""
 
-    Attributes:
-        levels: 2**levels blocks.
-        up: (3,) left shift of the state codes.
-        shift: (c,) of each value.
-        coefficients: (2**levels, c, 10).
-        residuals: (n, c) unsigned units.
-        decoded: (n, c) codes that a reader gets, not clamped.
-    """
-
-    levels: int
-    up: Int64
-    shift: Int64
-    coefficients: Int64
-    residuals: Int64
-    decoded: Int64
+    levels: int  # 2**levels blocks
+    up: Int64  # (3,) left shift of the state codes
+    shift: Int64  # (c,) of each value
+    coefficients: Int64  # (2**levels, c, 10)
+    residuals: Int64  # (n, c) unsigned units
+    decoded: Int64  # (n, c) codes that a reader gets, not clamped
 
     def byte_count(self) -> int:
         """Bytes of coefficients and transitions."""

@@ -14,83 +14,49 @@ import numpy.typing as npt
 from frogkick.core.arrays import Float32, Int16, Int32, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
-from frogkick.tables import coding, layout
-from frogkick.tables.checks import (
-    AGAIN,
-    ActionRow,
-    Columns,
-    TableError,
-    action_rows_of,
-    columns_of,
-    identified,
-    laid_out,
-    require_codes,
-    require_counts,
-    require_numbers,
-    require_times,
-    require_usable,
-    robot_id_of,
-)
+from frogkick.tables import checks, coding, layout
+from frogkick.tables.checks import AGAIN, ActionRow, Columns, TableError, require_codes, require_usable
 
 __all__ = ["ActionRow", "TableError", "Tables", "open_image", "read_image"]
+
+_SAME = ("provenance", "period_us", "pulse_us", "second_delay_us", "limbs", "block_levels")
+"""Fields that are called so in the header."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """A checked and decoded table image. All arrays are read-only.
-
-    Attributes:
-        image: the bytes.
-        kind: "nearest" or "affine".
-        robot_id: of the table's robot.
-        provenance: 32 bytes, SHA-256 of the library's content.
-        period_us, pulse_us, second_delay_us: integer microseconds.
-        limbs: number of limbs, 1 to 8.
-        actions: the actions in table order.
-        velocity_scale: (3,) float32 velocity per code: m/s, m/s, rad/s, body frame.
-        motion_scale: (3,) float32 motion per code: m, m, rad, body frame at the action's start.
-        motion_limit: (3,) largest |motion code| that a look-up gives.
-        states: (n, 3) int16 velocity codes in k-d order.
-        transitions: (n, a, 6) int32, decoded: three motion codes, three velocity codes at the action's end;
-            kind affine: without correction and not clamped.
-        derivatives: kind affine: (n, a, 6, 3) int32 codes per code, times 2**correction_shift; else (0, ...).
-        correction_shift: (6,) of the values.
-        offset_limit: (3,) largest |query - state| of the correction, codes.
-        history: (a, l, 6) int32 codes that a fully used limb adds; kind nearest: zeros.
-        use_decay, use_gain: 1/32768: part of a limb's use that remains a period later; what firing adds.
-        residual_codes: (6,) codes per unit of a residual; values are rounded to half of it.
-        limb_wear: (l, k, 6) int32 codes that a transition changes where a limb has lost 1 to k of k parts of
-            its contribution; (l, 0, 6) in an image without wear curves.
-        sections: offsets of the image's sections.
-        block_levels: 2**block_levels blocks of rows with separate predictions (kind nearest).
-        lost: (l,) share of its contribution that each limb has lost, 0 to 32767: no part of the image, and 0
-            until ``worn`` says otherwise.
-    """
+    """A checked and decoded table image of n states, a actions and l limbs. All arrays are read-only."""
 
     image: bytes
-    kind: str
+    kind: str  # "nearest" or "affine"
     robot_id: str
-    provenance: bytes
+    provenance: bytes  # SHA-256 of the library's content
     period_us: int
     pulse_us: int
     second_delay_us: int
-    limbs: int
-    actions: tuple[ActionRow, ...]
-    velocity_scale: Float32
-    motion_scale: Float32
-    motion_limit: Int64
-    states: Int16
+    limbs: int  # 1 to 8
+    actions: tuple[ActionRow, ...]  # in table order
+    velocity_scale: Float32  # (3,) velocity per code: m/s, m/s, rad/s, body frame
+    motion_scale: Float32  # (3,) motion per code: m, m, rad, body frame at the action's start
+    motion_limit: Int64  # (3,) largest |motion code| that a look-up gives
+    states: Int16  # (n, 3) velocity codes in k-d order
+    # (n, a, 6) decoded: three motion codes, three velocity codes at the action's end; kind affine: without
+    # correction and not clamped
     transitions: Int32
-    derivatives: Int32
-    correction_shift: Int64
-    offset_limit: Int64
-    history: Int32
-    use_decay: int
-    use_gain: int
-    residual_codes: Int64
+    derivatives: Int32  # kind affine: (n, a, 6, 3) codes per code, times 2**correction_shift; else (0, ...)
+    correction_shift: Int64  # (6,) of the values
+    offset_limit: Int64  # (3,) largest |query - state| of the correction, codes
+    history: Int32  # (a, l, 6) codes that a fully used limb adds; kind nearest: zeros
+    use_decay: int  # 1/32768: part of a limb's use that remains a period later
+    use_gain: int  # 1/32768: what firing adds to it
+    residual_codes: Int64  # (6,) codes per unit of a residual; values are rounded to half of it
+    # (l, k, 6) codes that a transition changes where a limb has lost 1 to k of k parts of its contribution;
+    # (l, 0, 6) in an image without wear curves
     limb_wear: Int32
     sections: layout.Sections
-    block_levels: int
+    block_levels: int  # 2**block_levels blocks of rows with separate predictions (kind nearest)
+    # (l,) share of its contribution that each limb has lost, 0 to 32767: no part of the image, and 0 until
+    # ``worn`` says otherwise
     lost: Int64
 
     def __post_init__(self) -> None:
@@ -162,12 +128,7 @@ class Tables:
 
 
 def read_image(path: Path | str) -> Tables:
-    """Open a table image file.
-
-    Raises:
-        InputError: no such file, or an empty one.
-        TableError: not a usable table image.
-    """
+    """Open a table image file; TableError for another file, InputError where there is none."""
     file = existing_file(path, "table image")
     try:
         return open_image(file.read_bytes())
@@ -180,21 +141,17 @@ def read_image(path: Path | str) -> Tables:
 
 
 def open_image(image: bytes) -> Tables:
-    """Check and decode a table image.
-
-    Raises:
-        TableError: the first error in the image.
-    """
-    head = identified(image)
+    """Check and decode a table image; TableError for the first error in it."""
+    head = checks.identified(image)
     kind = head.kind
-    require_counts(head.states, head.actions, head.limbs, f"the table image is wrong, {AGAIN}")
-    right = laid_out(head)
-    robot_id = robot_id_of(head.robot_id)
-    require_times(head.period_us, head.pulse_us, head.second_delay_us)
-    require_numbers(head)
+    checks.require_counts(head.states, head.actions, head.limbs, f"the table image is wrong, {AGAIN}")
+    right = checks.laid_out(head)
+    robot_id = checks.robot_id_of(head.robot_id)
+    checks.require_times(head.period_us, head.pulse_us, head.second_delay_us)
+    checks.require_numbers(head)
     require_usable(head.zero == 0, "table image has a reserved byte that is not zero")
-    actions = action_rows_of(image[right.actions : right.columns], head.limbs)
-    columns = columns_of(image, head, right)
+    actions = checks.action_rows_of(image[right.actions : right.columns], head.limbs)
+    columns = checks.columns_of(image, head, right)
     wear = np.frombuffer(image[right.wear : right.splits], "<i2")
     require_codes("wear curves", wear, layout.WEAR_CODE_MAX)
     splits = np.frombuffer(image, "<i2", 2**head.tree_levels - 1, right.splits)
@@ -233,11 +190,7 @@ def open_image(image: bytes) -> Tables:
         image=bytes(image),
         kind=layout.KINDS[kind],
         robot_id=robot_id,
-        provenance=head.provenance,
-        period_us=head.period_us,
-        pulse_us=head.pulse_us,
-        second_delay_us=head.second_delay_us,
-        limbs=head.limbs,
+        **{name: getattr(head, name) for name in _SAME},
         actions=actions,
         velocity_scale=np.array(head.velocity_scale, dtype=np.float32),
         motion_scale=np.array(head.motion_scale, dtype=np.float32),
@@ -253,7 +206,6 @@ def open_image(image: bytes) -> Tables:
         residual_codes=np.array(head.unit, dtype=np.int64),
         limb_wear=wear.reshape(head.limbs, head.wear_knots, 6).astype(np.int32),
         sections=right,
-        block_levels=head.block_levels,
         lost=np.zeros(head.limbs, dtype=np.int64),
     )
 

@@ -220,15 +220,8 @@ def axes_word(axes: Sequence[int]) -> int:
 def kd_order(codes: Int16, levels: int) -> tuple[Int64, tuple[int, ...]]:
     """Return the order of rows that makes them an implicit k-d tree, and each level's axis.
 
-    A level splits on the axis on which its parts are the longest, all together.
-
-    Args:
-        codes: (n, 3) velocity codes.
-        levels: of the tree, 2**levels <= n.
-
-    Returns:
-        (n,) row indices: ``codes[order]`` is in k-d order; and the axes. The order depends on the input's
-        only among rows with equal codes (the earlier row comes first in sorting).
+    A level splits on the axis on which its parts are the longest, all together. The order depends on that of
+    the rows (n, 3) only among rows with equal codes (the earlier row comes first in sorting).
     """
     order = np.arange(len(codes), dtype=np.int64)
     axes: list[int] = []
@@ -257,13 +250,7 @@ def kd_splits(codes: Int16, axes: Sequence[int]) -> Int16:
 
 
 def kd_violation(codes: Int16, splits: Int16, axes: Sequence[int]) -> int | None:
-    """Return the first row that stands on the wrong side of a split, or None.
-
-    Args:
-        codes: (n, 3) velocity codes in what should be k-d order.
-        splits: (2**levels - 1,) in heap order.
-        axes: (levels,) 0, 1, 2.
-    """
+    """Return the first row of codes (n, 3) that stands on the wrong side of a split, or None."""
     levels = len(axes)
     leaf = np.repeat(np.arange(2**levels), np.diff(first_rows(len(codes), levels)))
     wrong = np.zeros(len(codes), dtype=bool)

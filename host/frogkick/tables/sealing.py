@@ -34,25 +34,17 @@ _FINER = 16  # codes per unit of a motion's residual
 
 @dataclass(frozen=True, eq=False)
 class Metadata:
-    """The fields that table images of both kinds have.
+    """The fields that table images of both kinds have."""
 
-    Attributes:
-        robot_id: 1 to 15 printable ASCII characters.
-        provenance: SHA-256 of the library's content, 32 bytes.
-        period_us, pulse_us, second_delay_us: integer microseconds, pulse and delay shorter than the period.
-        limbs: 1 to 8.
-        action_rows: (name, mask of the first group, mask of the second) per action.
-        velocity_resolution: velocity per code, (m/s, m/s, rad/s).
-    """
-
-    robot_id: str
-    provenance: bytes
+    robot_id: str  # 1 to 15 printable ASCII characters
+    provenance: bytes  # SHA-256 of the library's content
     period_us: int
+    # shorter than the period
     pulse_us: int
     second_delay_us: int
-    limbs: int
-    action_rows: ActionRows
-    velocity_resolution: Sequence[float]
+    limbs: int  # 1 to 8
+    action_rows: ActionRows  # name, mask of the first group, mask of the second
+    velocity_resolution: Sequence[float]  # velocity per code, (m/s, m/s, rad/s)
 
     @property
     def velocity_scale(self) -> Float32:
@@ -126,8 +118,6 @@ def sealed(
     """Join the sections and add the header with its CRC.
 
     Args:
-        about: robot, provenance, times and actions.
-        kind: layout.KIND_NEAREST or KIND_AFFINE.
         codes: (n, 3) states in k-d order.
         axes: of the search tree's levels.
         residuals: (n, c) unsigned, of ``bits`` (c,).

@@ -206,8 +206,7 @@ def cache_folder(name: str = "") -> Path:
     given = os.environ.get("FROGKICK_CACHE_DIR")
     if given:
         folder = Path(given) / name
-        problem = _problem_with(folder)
-        if problem:
+        if problem := problem_with(folder):
             raise InputError(
                 f"FROGKICK_CACHE_DIR is {given!r} ({problem}): set it to a folder that can be written"
             )
@@ -215,7 +214,7 @@ def cache_folder(name: str = "") -> Path:
     try:
         base = os.environ.get("XDG_CACHE_HOME")
         folder = (Path(base) if base else Path.home() / ".cache") / "frogkick" / name
-        if not _problem_with(folder):
+        if not problem_with(folder):
             return folder.resolve()
     except RuntimeError:  # nobody's home
         pass
@@ -224,12 +223,8 @@ def cache_folder(name: str = "") -> Path:
     return folder.resolve()
 
 
-def writable_folder(folder: Path) -> bool:
-    """Make a folder, and return whether files can be made in it."""
-    return not _problem_with(folder)
-
-
-def _problem_with(folder: Path) -> str:
+def problem_with(folder: Path) -> str:
+    """Make a folder, and return why no files can be made in it, or ""."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -66,11 +66,7 @@ class _Fix:
 
 
 class Estimator:
-    """Predicts from decision to decision with a table, and corrects the prediction by fixes.
-
-    Attributes:
-        restarts: number of resets to outliers that agree with each other.
-    """
+    """Predicts from decision to decision with a table, and corrects the prediction by fixes."""
 
     def __init__(self, tables: Tables) -> None:
         self.track = Track(tables)
@@ -80,7 +76,7 @@ class Estimator:
     def restart(self) -> None:
         """Forget all but what the limbs have lost, as a robot does that is told LEARN OFF or HELD."""
         self.track.restart()
-        self.restarts, self._fixes = 0, 0
+        self._fixes = 0
         self._newest: _Fix | None = None
         self._outliers: list[_Fix] = []
         self._marks.clear()
@@ -163,7 +159,6 @@ class Estimator:
                 return OUTLIER
             self.track.inflate()
             self._reset()
-            self.restarts += 1
         return OK
 
     def _accept(self, fix: _Fix) -> None:

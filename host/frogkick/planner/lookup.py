@@ -22,10 +22,9 @@ class TableArrays(NamedTuple):
 
     A state's dynamics are an int64 row of 3 + LIMBS_MAX: velocity codes, then how much each limb was used.
     ``least`` and ``most`` (3,) int64 hold what a velocity's codes are clamped to before a row is looked for:
-    all states and the offset beyond them that is corrected for.
-    ``fires`` (a, l) is 1 where an action fires a limb; ``use`` holds decay and gain; reach_m and turn_max_rad
-    are (1,) float32: no look-up moves or turns the robot further; period_s is (1,) float32. ``shift`` (a, 6)
-    int64 is what worn limbs add to the codes of every look-up.
+    all states and the offset beyond them that is corrected for. ``fires`` (a, l) is 1 where an action fires a
+    limb; ``use`` holds decay and gain; stroke_max_m (no look-up moves the robot further) and period_s are
+    (1,) float32. ``shift`` (a, 6) int64 is what worn limbs add to the codes of every look-up.
     """
 
     states: AnyArray
@@ -43,7 +42,6 @@ class TableArrays(NamedTuple):
     most: AnyArray
     use: AnyArray
     stroke_max_m: AnyArray
-    turn_max_rad: AnyArray
     period_s: AnyArray
 
 
@@ -60,7 +58,6 @@ def arrays_of(tables: Tables) -> TableArrays:
         most=states.max(axis=0) + tables.offset_limit,
         use=np.array([tables.use_decay, tables.use_gain], dtype=np.int64),
         stroke_max_m=np.array([tables.stroke_max_m], dtype=np.float32),
-        turn_max_rad=np.array([tables.turn_max_rad], dtype=np.float32),
         period_s=np.array([tables.period_us], dtype=np.float32) * np.float32(1e-6),
     )
 

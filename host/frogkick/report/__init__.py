@@ -3,10 +3,10 @@
 import os
 from pathlib import Path
 
-from frogkick.core.files import cache_folder, writable_folder
+from frogkick.core.files import cache_folder, problem_with
 
 # Before matplotlib is loaded: without a home it would complain in several lines, and look at all fonts again.
 if "MPLCONFIGDIR" not in os.environ:
     _home = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
-    if not writable_folder(_home / "matplotlib"):
+    if problem_with(_home / "matplotlib"):
         os.environ["MPLCONFIGDIR"] = str(cache_folder("matplotlib"))

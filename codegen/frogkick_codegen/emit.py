@@ -104,7 +104,7 @@ def emit(
     """
     tables = open_image(image) if isinstance(image, bytes) else read_image(image)
     files = render(tables, command, config or PlanConfig(), robot_sha256, figures)
-    _swap_in(Path(out_dir), files)
+    swap_in(Path(out_dir), files)
     return {name: hashlib.sha256(files[name]).hexdigest() for name in sorted(files)}
 
 
@@ -225,7 +225,7 @@ def _literal(value: np.float32) -> str:
     return (text if any(mark in text for mark in ".en") else text + ".0") + "f"
 
 
-def _swap_in(out_dir: Path, files: dict[str, bytes]) -> None:
+def swap_in(out_dir: Path, files: dict[str, bytes]) -> None:
     """Write into a new directory beside ``out_dir``, then put it in its place."""
     target = Path(os.path.realpath(out_dir))
     _refuse_foreign(target, out_dir, set(files))

@@ -24,7 +24,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen import declared
-from frogkick_codegen.emit import emit, render
+from frogkick_codegen.emit import render, swap_in
 from frogkick_codegen.map_file import write_map
 from frogkick_codegen.toolchain import (
     FLAGS,
@@ -182,7 +182,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         )
         sizes = image_sizes(made["elf"]) if target == "bench" else (0, 0, 0)
         # First what may be refused: a folder "emitted" that is not ours.
-        emit(image, out / "emitted", command, robot_sha256=robot.sha256)
+        swap_in(out / "emitted", rendered)
         files = {what: out / path.name for what, path in made.items()}
         for what, path in made.items():
             write_bytes(files[what], path.read_bytes())

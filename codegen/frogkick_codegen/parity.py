@@ -258,24 +258,16 @@ def _along(source: _Source, states: Float32, beyond: Bool) -> Float32:
 
 
 _MAKERS: dict[str, Callable[[_Source, int], AnyArray]] = {
-    "uniform": _uniform,
-    "rest": _rest,
-    "table_row": _table_row,
-    "table_edge": _table_edge,
-    "beyond": _beyond,
-    "tie": _tie,
-    "half_code": _half_code,
-    "huge": _huge,
-    "limit": _limit,
-    "tiny": _tiny,
-    "subnormal": _subnormal,
-    "not_finite": _not_finite,
-    "half_turn": _half_turn,
-    "on_path": _on_path,
-    "any_bits": _any_bits,
+    **{
+        make.__name__.removeprefix("_"): make
+        for make in (
+            _uniform, _rest, _table_row, _table_edge, _beyond, _tie, _half_code, _huge, _limit, _tiny,
+            _subnormal, _not_finite, _half_turn, _on_path, _any_bits,
+        )
+    },
     "limb_use": _uniform,
     "along": _uniform,
-}
+}  # fmt: skip
 KINDS = tuple(_MAKERS)
 
 

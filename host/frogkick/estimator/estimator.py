@@ -181,7 +181,6 @@ class Estimator:
 
 
 def _agree(a: _Fix, b: _Fix) -> bool:
-    """Return whether a robot could have swum from one fix to the other."""
     apart_s = np.float32(abs(a.capture_us - b.capture_us)) * _MICROSECOND
     offset = a.pose - b.pose
     reach_m = _OUTLIERS_AGREE_M + _OUTLIERS_AGREE_MPS * apart_s

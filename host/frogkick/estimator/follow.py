@@ -17,8 +17,6 @@ _GAIN = np.float32(0.25)
 
 
 class End(enum.Enum):
-    """Why a run ended."""
-
     COMPLETED = "completed"
     PASSED = "passed the end"
     STALLED = "no progress"

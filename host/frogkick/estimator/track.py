@@ -72,7 +72,6 @@ def wrapped(angle: np.float32) -> np.float32:
 
 
 def sine_cosine(angle: np.float32) -> tuple[np.float32, np.float32]:
-    """Return sine and cosine as float32."""
     sine, cosine = floats.sincos(angle)
     return np.float32(sine), np.float32(cosine)
 
@@ -122,7 +121,6 @@ class Track:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all but what the limbs have lost."""
         self.instants: list[_Instant] = []
         self.process_noise: Float32 = _PROCESS_NOISE.copy()
         self._predicted = np.zeros(3, dtype=np.float32)
@@ -253,14 +251,12 @@ class Track:
         self._teaches = False
 
     def _unknown(self, pose: Float32) -> None:
-        """Start with one instant of unknown pose and speed."""
         self.mean = np.stack([pose, np.zeros(3, dtype=np.float32)], axis=1)
         self.covariance = np.zeros((2, 2, 2), dtype=np.float32)
         self.covariance[:, 0, 0] = _POSE_UNKNOWN
         self.covariance[:, 1, 1] = _SPEED_UNKNOWN
 
     def _undo(self) -> None:
-        """Remove the current period."""
         del self.instants[-1]
         self.mean, self.covariance = self.mean[:, :-2], self.covariance[:, :-2, :-2]
 

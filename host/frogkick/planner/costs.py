@@ -88,7 +88,6 @@ def may_rest(settings: Any, state: AnyArray, step: np.float32, period: np.float3
 
 @njit(**INNER)
 def segment_length(path: AnyArray, segment: int) -> Any:
-    """Return the length of the piece from a point to the next, m."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
     return np.sqrt(dx * dx + dy * dy)
@@ -96,7 +95,6 @@ def segment_length(path: AnyArray, segment: int) -> Any:
 
 @njit(**INNER)
 def distance2_to(path: AnyArray, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
-    """Return the squared distance of a position from a place on a segment."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
     across_x = (x - path[0, segment]) - part * dx
@@ -207,7 +205,6 @@ def lay_out(path: AnyArray, segment: int, part: np.float32, step: np.float32, kn
 
 @njit(**INNER)
 def knot_distance2(knots: AnyArray, knot: int, x: np.float32, y: np.float32) -> Any:
-    """Return the squared distance of a position from a knot, m^2."""
     dx = x - knots[knot, 0]
     dy = y - knots[knot, 1]
     return dx * dx + dy * dy
@@ -252,7 +249,6 @@ def huber(distance2: np.float32, huber_m: np.float32) -> Any:
 
 @njit(**INNER)
 def beyond(at: np.float32, least: np.float32, most: np.float32) -> Any:
-    """Return how far a coordinate lies beyond the walls on its axis, m."""
     return max(_F0, least - at) + max(_F0, at - most)
 
 

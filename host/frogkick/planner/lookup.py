@@ -49,7 +49,6 @@ DYNAMICS = 3 + LIMBS_MAX
 
 
 def arrays_of(tables: Tables) -> TableArrays:
-    """The arrays of an opened table."""
     states = tables.states.astype(np.int64)
     same = TableArrays._fields[: TableArrays._fields.index("least")]  # those up to it are called so in Tables
     return TableArrays(
@@ -91,7 +90,6 @@ def nearest_state(states: AnyArray, code_0: Any, code_1: Any, code_2: Any) -> in
 
 @njit(**INNER)
 def action_count(table: TableArrays) -> int:
-    """How many actions the table has."""
     return int(table.transitions.shape[1])
 
 

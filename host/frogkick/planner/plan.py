@@ -59,8 +59,6 @@ class PathLike(Protocol):
 
 
 class Cost(enum.IntEnum):
-    """Cost of the planner."""
-
     PAPER = kernel.COST_PAPER  # Huang et al. 2022, Eq. 19
     ROUTE = kernel.COST_ROUTE  # frogkick.planner.costs
 
@@ -84,7 +82,6 @@ class PlanConfig(Weights):
         return _float32([getattr(self, name) for name in WEIGHTS])
 
     def settings(self) -> Any:
-        """The configuration for the kernels, floats as float32."""
         return kernel.Settings(int(self.cost), int(self.transitions_max), *self.weights())
 
 

@@ -44,7 +44,6 @@ def require_usable(good: bool, text: str) -> None:
 
 
 def require_counts(states: int, actions: int, limbs: int, remedy: str) -> None:
-    """Raise TableError for counts out of their limits."""
     require(1 <= states <= layout.STATES_MAX, f"{states} states, allowed are 1 to 65535: {remedy}")
     require(1 <= actions <= layout.ACTIONS_MAX, f"{actions} actions, allowed are 1 to 32: {remedy}")
     require(1 <= limbs <= layout.LIMBS_MAX, f"{limbs} limbs, allowed are 1 to 8: {remedy}")
@@ -62,7 +61,6 @@ def robot_id_of(field: bytes) -> str:
 
 
 def require_times(period_us: int, pulse_us: int, second_delay_us: int) -> None:
-    """Raise TableError unless pulse and delay are shorter than the period."""
     good = 1 <= pulse_us < period_us < 2**32 and 0 <= second_delay_us < period_us
     require(
         good,
@@ -72,7 +70,6 @@ def require_times(period_us: int, pulse_us: int, second_delay_us: int) -> None:
 
 
 def action_bytes(row: tuple[str, int, int]) -> bytes:
-    """An action in the actions' section."""
     name, first, second = row
     good = len(name) == 1 and name.isascii() and 0 <= first <= 255 and 0 <= second <= 255
     require(good, f"action {row!r} is not one ASCII character and two masks of 0 to 255: check the robot")
@@ -168,7 +165,6 @@ def laid_out(head: Any) -> layout.Sections:
 
 
 def require_numbers(head: Any) -> None:
-    """Raise TableError for a number of the header out of its range."""
     affine = head.kind == layout.KIND_AFFINE
     for what in ("velocity_scale", "motion_scale"):
         for index, scale in enumerate(getattr(head, what)):

@@ -21,7 +21,6 @@ _RIDGE = 1e-11
 
 
 def bits_for(largest: Int64) -> Int64:
-    """Number of bits for 0 up to each number."""
     return np.array([int(value).bit_length() for value in largest.ravel()], dtype=np.int64).reshape(
         largest.shape
     )

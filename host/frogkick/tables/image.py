@@ -68,7 +68,6 @@ class Tables:
 
     @property
     def format_version(self) -> int:
-        """Of the image."""
         return layout.FORMAT_VERSION if self.limb_wear.size else layout.FORMAT_PLAIN
 
     @property
@@ -119,7 +118,6 @@ class Tables:
         return replace(self, actions=tuple(rows))
 
     def require_robot(self, robot_id: str) -> None:
-        """Raise TableError unless the table is for a robot."""
         if robot_id != self.robot_id:
             raise TableError(
                 f"table image is for robot {self.robot_id!r}, this robot is {robot_id!r}: "

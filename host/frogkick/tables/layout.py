@@ -153,7 +153,6 @@ Header = _typed_by_name("Header", HEADER.names)
 
 
 def header_of(image: bytes) -> Any:
-    """The Header at the start of an image."""
     values = np.frombuffer(image, HEADER, 1)[0].item()
     return Header(*(value.tolist() if isinstance(value, np.ndarray) else value for value in values))
 
@@ -172,7 +171,6 @@ class Sections(NamedTuple):
 
 
 def affine_column(limbs: int) -> np.dtype[np.void]:
-    """One column of kind affine."""
     kept = 4 if limbs <= 4 else 8
     return np.dtype([("least", "<i2", (4,)), ("history", "<i2", (kept,))])
 
@@ -213,7 +211,6 @@ def axes_of(word: int, levels: int) -> tuple[int, ...]:
 
 
 def axes_word(axes: Sequence[int]) -> int:
-    """The number that axes_of reads."""
     return sum(axis << 2 * level for level, axis in enumerate(axes))
 
 

@@ -226,7 +226,6 @@ def _derivatives(ratio: Float64, offset: int, unit: Int64) -> tuple[Int64, Int64
 
 
 def _limit_codes(offset_limit: Sequence[float], velocity_scale: Float64) -> Int64:
-    """A caller's offset limit, (3,) codes."""
     furthest = np.asarray(offset_limit, dtype=np.float64)
     require(
         furthest.shape == (3,) and bool(np.all(furthest >= 0.0)),
@@ -266,7 +265,6 @@ def _grid_in_box(codes: Int16, box: AnyArray) -> tuple[Int64, Int64]:
 
 
 def _history(codes: Float64) -> Int64:
-    """History as integer codes (a, l, 6)."""
     rounded = np.floor(np.clip(codes, -1e9, 1e9) + 0.5).astype(np.int64)
     sums = np.abs(rounded).sum(axis=1)
     require(

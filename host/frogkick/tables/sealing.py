@@ -48,7 +48,6 @@ class Metadata:
 
     @property
     def velocity_scale(self) -> Float32:
-        """(3,) ``velocity_resolution``."""
         return np.array(self.velocity_resolution, dtype=np.float32)
 
     def require_valid(self, states: int) -> None:
@@ -70,7 +69,6 @@ class Metadata:
 
 
 def require_shapes(**arrays: tuple[Float64, tuple[int, ...]]) -> None:
-    """Raise TableError for an array that does not have the shape beside it."""
     for name, (array, shape) in arrays.items():
         require(array.shape == shape, f"{name} has shape {array.shape}, needed is {shape}: check the library")
 

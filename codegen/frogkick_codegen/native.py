@@ -21,14 +21,7 @@ from frogkick.core.arrays import AnyArray, Float32, UInt16
 from frogkick.core.files import cache_folder, one_at_a_time
 from frogkick.core.shared_library import load
 from frogkick.planner.kernel import PLAN_ROW
-from frogkick.planner.plan import (
-    PathLike,
-    PlanConfig,
-    along_rows,
-    limb_use_rows,
-    path_rows,
-    query_rows,
-)
+from frogkick.planner.plan import PathLike, PlanConfig, path_rows, query_rows
 from frogkick.tables.image import TableError
 from frogkick_codegen import declared
 from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES, WARNINGS, Compiler, ToolchainError, zig
@@ -154,16 +147,14 @@ class NativeLibrary:
             path, config, states, depths, limb_use, along_points: as there.
             lost: (8,) share that each limb has lost, 0 to 32767; None: none.
         """
-        queries, many = query_rows(config, states, depths)
-        levels = many.astype(np.int32)
-        used = limb_use_rows(limb_use, len(queries))
+        levels, queries, used, along = query_rows(config, states, depths, limb_use, along_points)
         rows = np.zeros(len(queries), dtype=PLAN_ROW)
         status = self._library.fk_native_plan_batch(
             *_problem(self._ffi, image, path, config),
             self._floats(queries),
             self._ffi.from_buffer("uint16_t[]", used),
-            self._floats(along_rows(along_points, len(queries))),
-            self._ffi.from_buffer("int32_t[]", levels),
+            self._floats(along),
+            self._ffi.from_buffer("int32_t[]", levels.astype(np.int32)),
             self._ffi.NULL if lost is None else self._ffi.new("uint16_t[8]", np.asarray(lost).tolist()),
             len(queries),
             self._ffi.cast("void *", rows.ctypes.data),

@@ -191,34 +191,41 @@ def plan_batch(
     Raises:
         InputError: the arrays' shapes do not fit each other.
     """
-    queries, many = query_rows(config, states, depths)
-    rows = np.zeros(len(queries), dtype=PLAN_ROW)
-    kernel.plan_many(
-        arrays_of(tables),
-        path_rows(path),
-        config.settings(),
-        many,
-        queries,
-        limb_use_rows(limb_use, len(queries)),
-        along_rows(along_points, len(queries)),
-        rows,
-    )
+    queries = query_rows(config, states, depths, limb_use, along_points)
+    rows = np.zeros(len(queries[0]), dtype=PLAN_ROW)
+    kernel.plan_many(arrays_of(tables), path_rows(path), config.settings(), *queries, rows)
     return rows
 
 
 def query_rows(
-    config: PlanConfig, states: npt.ArrayLike, depths: npt.ArrayLike | None
-) -> tuple[Float32, Int64]:
-    """States as (k, 6) float32, and the depth of each as (k,) int64; None: ``config.depth``."""
+    config: PlanConfig,
+    states: npt.ArrayLike,
+    depths: npt.ArrayLike | None,
+    limb_use: npt.ArrayLike | None,
+    along_points: npt.ArrayLike,
+) -> tuple[Int64, Float32, UInt16, Float32]:
+    """The arguments of ``plan_batch`` as a kernel takes them: depths, states, limb uses, places."""
     queries = _float32(states)
     if queries.ndim != 2 or queries.shape[1] != 6:
         raise InputError(f"states have shape {queries.shape}, needed is (k, 6): pass one row for each state")
-    many = np.full(len(queries), config.depth) if depths is None else np.asarray(depths)
-    if many.shape != (len(queries),):
+    count = len(queries)
+    many = np.full(count, config.depth) if depths is None else np.asarray(depths)
+    if many.shape != (count,):
+        raise InputError(f"depths have shape {many.shape}, needed is ({count},): pass one for each state")
+    given = np.zeros(LIMBS_MAX) if limb_use is None else np.asarray(limb_use)
+    if given.shape not in ((LIMBS_MAX,), (count, LIMBS_MAX)):
         raise InputError(
-            f"depths have shape {many.shape}, needed is ({len(queries)},): pass one for each state"
+            f"limb use has shape {given.shape}, needed is ({count}, {LIMBS_MAX}): one row a state"
         )
-    return queries, many.astype(np.int64)
+    given = np.ascontiguousarray(np.broadcast_to(given, (count, LIMBS_MAX)))
+    used = given.astype(np.uint16)
+    if not np.array_equal(used, given):
+        raise InputError("limb use holds a value that is not a whole number of 0 to 65535: correct it")
+    along = _float32(along_points)
+    if along.shape not in ((), (1,), (count,)):
+        raise InputError(f"along_points has shape {along.shape}, needed is ({count},): one for each state")
+    # A copy: numba would compile again for a read-only array.
+    return many.astype(np.int64), queries, used, np.array(np.broadcast_to(along.reshape(-1), (count,)))
 
 
 def path_rows(path: PathLike) -> Float32:
@@ -228,30 +235,6 @@ def path_rows(path: PathLike) -> Float32:
         lengths = [len(column) for column in columns]
         raise InputError(f"path has {lengths} x, y and tangent values: give one of each for every point")
     return np.ascontiguousarray(np.stack(columns))
-
-
-def limb_use_rows(limb_use: npt.ArrayLike | None, count: int) -> UInt16:
-    """Limb uses as a (count, 8) uint16 array; None: rested; one row counts for all."""
-    given = np.zeros((count, LIMBS_MAX)) if limb_use is None else np.asarray(limb_use)
-    if given.shape == (LIMBS_MAX,):
-        given = np.broadcast_to(given, (count, LIMBS_MAX))
-    if given.shape != (count, LIMBS_MAX):
-        raise InputError(
-            f"limb use has shape {given.shape}, needed is ({count}, {LIMBS_MAX}): one row a state"
-        )
-    rows = np.ascontiguousarray(given).astype(np.uint16)
-    if not np.array_equal(rows, given):
-        raise InputError("limb use holds a value that is not a whole number of 0 to 65535: correct it")
-    return rows
-
-
-def along_rows(along_points: npt.ArrayLike, count: int) -> Float32:
-    """Places along a path as a (count,) float32 array."""
-    given = _float32(along_points)
-    if given.shape not in ((), (1,), (count,)):
-        raise InputError(f"along_points has shape {given.shape}, needed is ({count},): one for each state")
-    # A copy: numba would compile again for a read-only array.
-    return np.array(np.broadcast_to(given.reshape(-1), (count,)))
 
 
 def _float32(values: npt.ArrayLike) -> Float32:

@@ -2,7 +2,7 @@
  * Part of the host's shared library only, never of an emitted directory. */
 #include "native_inputs.h"
 
-/* As frogkick.planner.plan.PLAN_ROW: 92 bytes, every member 4 bytes wide, so without padding. */
+/* As frogkick.planner.kernel.PLAN_ROW: 92 bytes, every member 4 bytes wide, so without padding. */
 typedef struct {
     int32_t status;
     int32_t action;

@@ -76,7 +76,7 @@ class Estimator:
     def restart(self) -> None:
         """Forget all but what the limbs have lost, as a robot does that is told LEARN OFF or HELD."""
         self.track.restart()
-        self._fixes = 0
+        self.restarts, self._fixes = 0, 0  # restarts: resets to outliers that agree with each other
         self._newest: _Fix | None = None
         self._outliers: list[_Fix] = []
         self._marks.clear()
@@ -159,6 +159,7 @@ class Estimator:
                 return OUTLIER
             self.track.inflate()
             self._reset()
+            self.restarts += 1
         return OK
 
     def _accept(self, fix: _Fix) -> None:

@@ -1,5 +1,5 @@
 /* Called by unicorn before each instruction and at each data access: counts cycles, and stops the core where the
- * model has to look. Compiled at first use by hook.py, which holds the same structure.
+ * model has to look. Compiled at first use by emulator.py, which holds the same structure.
  */
 #include <stdint.h>
 

@@ -106,7 +106,7 @@ def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
     lost = run.log.decisions.extra["lost"]
     assert lost.shape == (told["decisions"], 8) and not lost[0].any() and lost[-1].any()
     again = fk.replay(log, robot="pool", plan="both").as_json()
-    assert again["mismatches"] == 0 and again["agreement_with_recorded"] > 0.8
+    assert again["mismatches"] == 0 and again["agreement_with_recorded"] == 1.0
 
 
 def straight(filt: WearFilter, lost: list[float], current: list[float], periods: int, seed: int) -> None:

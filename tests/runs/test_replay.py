@@ -11,11 +11,18 @@ from tests.conftest import count, some
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
+from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.pool.native_robot import CoreCall, NativeRobot
+from frogkick.runs.chip_log import LATE
+from frogkick.runs.closed_loop import run_session
+from frogkick.runs.decision import Decision
+from frogkick.runs.record import RunOptions
 from frogkick.runs.recorded.importer import RUN_NAME, load_run
 from frogkick.runs.replay import Replay, replay
 from frogkick.runs.runlog import Decisions, FixFlag, RunLog
 from frogkick.runs.runlog_file import read_run, write_run
+from frogkick.runs.session import Session
 
 
 def both(run: RunLog, place: str, depth: int = 1) -> Replay:
@@ -66,6 +73,88 @@ def test_the_host_alone_decides_our_own_log_again(own_log: RunLog) -> None:
     assert result.agreement == 1.0
     assert result.onboard == [] and result.differences == []
     assert result.recorded == result.actions
+
+
+def made_again(made: list[Decision], log: RunLog) -> bool:
+    """Whether estimates, costs and shares of decisions are those of a log, to the bit."""
+    decisions = log.decisions
+    assert decisions.cost is not None and decisions.estimate is not None
+    return [one.cost for one in made] == decisions.cost.tolist() and np.array_equal(
+        [one.estimate for one in made], decisions.estimate
+    )
+
+
+@pytest.mark.parametrize("onboard", [True, False])
+def test_each_bit_of_a_decision_is_made_again(own_log: RunLog, onboard: bool) -> None:
+    """The log has the fixes as whoever decided had them: to the microsecond, and among his decisions."""
+    log = own_log
+    if not onboard:
+        log = rig.swim("pool", "sine", 8.0, depth=2, onboard=False).log()
+    assert (log.fixes.extra["heard_us"] >= 0).sum() > 50 and np.ptp(log.fixes.extra["heard_after"]) > 5
+    on_host = replay(log, rig.tables(), PlanConfig(depth=2), None, host=True)
+    assert made_again(on_host.host, log)
+    result = both(log, "pool", depth=2)
+    assert result.differences == [] and made_again(result.onboard, log)
+    # A log that is wrong by a microsecond in one fix, or in its place among the decisions, is not the same.
+    for name in ("heard_us", "heard_after"):
+        changed = log.fixes.extra[name].copy()
+        changed[-20] += 1
+        extra = {**log.fixes.extra, name: changed}
+        other = dataclasses.replace(log, fixes=dataclasses.replace(log.fixes, extra=extra))
+        assert not made_again(replay(other, rig.tables(), PlanConfig(depth=2), None, host=True).host, log), (
+            name
+        )
+
+
+class Late(NativeRobot):
+    """A robot whose port is too late to begin its third stroke, so that it is refused."""
+
+    begun = 0
+
+    def turn(self, now_us: int, frame: bytes) -> CoreCall:
+        call = super().turn(now_us, frame)
+        if not call.outputs[0]:
+            return call
+        self.begun += 1
+        if self.begun != 3:
+            return call
+        self._core.fk_robot_note_pulse_failed(self._memory, LATE)
+        return dataclasses.replace(call, outputs=(0, *call.outputs[1:]))
+
+
+@pytest.mark.parametrize("onboard", [True, False])
+def test_a_stroke_that_was_refused_is_none_in_a_replay(onboard: bool) -> None:
+    pool, options = rig.new_pool("sine"), RunOptions(PlanConfig(depth=1), onboard, 8.0)
+    port = Late(rig.firmware("native").image, len(rig.robot().limbs))
+    recording = run_session(Session(port), pool, rig.recording(shape("sine"), options, pool))
+    assert len(recording.rested) == 1 and max(recording.rested) < 4 < len(recording.decisions)
+    log = recording.log()
+    assert (
+        (log.decisions.extra["rested_us"] >= 0).sum() == 1 == (log.decisions.extra["rested_after"] > 9).sum()
+    )
+    assert made_again(replay(log, rig.tables(), PlanConfig(depth=1), None, host=True).host, log)
+    extra = {name: column for name, column in log.decisions.extra.items() if name != "rested_us"}
+    untold = dataclasses.replace(log, decisions=dataclasses.replace(log.decisions, extra=extra))
+    assert not made_again(replay(untold, rig.tables(), PlanConfig(depth=1), None, host=True).host, log)
+
+
+def test_a_chip_has_the_fixes_again_within_two_microseconds(own_log: RunLog) -> None:
+    """Its core looks at the line at times of its own: the last digits of what it makes of them differ."""
+    found = both(own_log, "virtual", depth=2)
+    assert found.differences == [] and found.agreement == 1.0 and own_log.decisions.estimate is not None
+    estimates = np.array([one.estimate for one in found.onboard])
+    assert estimates == pytest.approx(own_log.decisions.estimate, abs=1e-5)
+
+
+def test_a_log_from_before_has_the_times_of_its_fixes_in_seconds(own_log: RunLog) -> None:
+    extra = {key: own_log.fixes.extra[key] for key in ("sequence", "robot_capture_us", "robot_status")}
+    older = dataclasses.replace(own_log, fixes=dataclasses.replace(own_log.fixes, extra=extra))
+    for place in (None, "pool"):
+        port = None if place is None else rig.port(place)
+        found = replay(older, rig.tables(), PlanConfig(depth=2), port, host=True)
+        assert found.differences == [] and own_log.decisions.estimate is not None
+        estimates = np.array([one.estimate for one in found.host])
+        assert estimates == pytest.approx(own_log.decisions.estimate, abs=1e-3)
 
 
 def test_decisions_that_differ_leave_the_host_s_estimates_alone(own_log: RunLog) -> None:

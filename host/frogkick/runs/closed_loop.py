@@ -333,6 +333,8 @@ class _Run:
         if frame.name == "FIX":
             row = self._unanswered.pop(frame.sequence)
             recording.fix_status[row] = int(values["status"])
+            if self.options.onboard and events:
+                recording.heard[row] = events[0].time_us, len(recording.decisions)
             if values["status"] == 0:
                 recording.capture_us[row] = int(values["capture_us"])
                 self.session.check_clock_sync(recording.fixes[row].capture_s, int(values["capture_us"]))
@@ -341,8 +343,14 @@ class _Run:
         elif frame.name == "STROKE" and values["status"] == link_layout().status["STATE"]:
             self._check_disarmed()
         elif frame.name == "REFUSED":
+            begin_us, known = (
+                int(values["begin_us"]),
+                min(self._unanswered.values(), default=len(recording.fixes)),
+            )
             if not self.options.onboard:
-                self.twin.act(int(values["begin_us"]) - recording.clock_offset_us, RESTING)
+                begin_us, known = begin_us - recording.clock_offset_us, len(recording.fixes)
+                self.twin.act(begin_us, RESTING)
+            recording.rested[len(recording.decisions) - 1] = begin_us, known
         elif decision is not None:
             recording.decisions.append(decision)
             self.changes.decided(recording.decisions)
@@ -386,5 +394,8 @@ class _Run:
             recording.sent_s.append(at_s)
             recording.capture_us.append(None)
             recording.fix_status.append(None)
+            recording.heard.append(None)
             if not self.options.onboard:
-                self.twin.add_fix(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence)
+                capture_us = round(fix.capture_s * 1e6)
+                recording.heard[-1] = capture_us, len(recording.decisions)
+                self.twin.add_fix(capture_us, fix.pose_world, fix.sequence)

@@ -19,7 +19,7 @@ import numpy as np
 from frogkick.core.arrays import AnyArray
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
-from frogkick.runs.record import Recording
+from frogkick.runs.record import UNKNOWN, Recording
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import fill
 
@@ -51,7 +51,7 @@ class LiveLog:
             InputError: the file cannot be written.
         """
         self.path = part_of(target)
-        self._fixes = self._decisions = self._changes = 0
+        self._fixes = self._decisions = self._changes = self._rested = 0
         self._room = len(empty.then)  # a file that others read takes no further groups
         self._unanswered: list[int] = []
         try:
@@ -85,8 +85,14 @@ class LiveLog:
                 taken_us = recording.capture_us[row]
                 writes.append(("fixes/robot_capture_us", row, -1 if taken_us is None else taken_us))
                 writes.append(("fixes/robot_status", row, status))
+                heard_us, heard_after = recording.heard[row] or UNKNOWN
+                writes += [("fixes/heard_us", row, heard_us), ("fixes/heard_after", row, heard_after)]
         waiting = [*self._unanswered, *range(first, self._fixes)]
         self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
+        for row, (rested_us, after) in list(recording.rested.items())[self._rested :]:
+            self._rested += 1
+            if row < self._decisions:  # else it is appended below
+                writes += [("decisions/rested_us", row, rested_us), ("decisions/rested_after", row, after)]
         first, self._decisions = self._decisions, len(recording.decisions)
         if self._decisions > first:
             made = recording.decision_columns(first)

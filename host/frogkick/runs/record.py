@@ -55,6 +55,9 @@ LOST_FOR = 3
 BELIEVED_AGAIN = 0.5
 """Lost share below which a limb that was lost no longer is."""
 
+UNKNOWN = (-1, -1)
+"""What the columns ``heard_*`` have for a fix that was not heard, ``rested_*`` for a stroke that was swum."""
+
 _REQUIRED = (*list(WEIGHTS)[:4], "depth")
 """Planner settings that every log has; older logs lack the others, which keep their defaults."""
 
@@ -98,8 +101,14 @@ class Recording:
     capture_us: list[int | None] = field(default_factory=list)
     # the robot's answer to each fix (``frames.toml``); None if no answer came
     fix_status: list[int | None] = field(default_factory=list)
+    # of each fix its capture time, us, on the clock of whoever decides, and how many decisions came before
+    # it; None: his estimator did not get it
+    heard: list[tuple[int, int] | None] = field(default_factory=list)
     # inputs of the robot's estimator and planner, in its order: they reproduce its decisions
     events: list[RobotEvent] = field(default_factory=list)
+    # index of a decision whose stroke the guard refused -> since when the robot rested instead, us, on the
+    # clock of whoever decides, and how many fixes he had before he knew it
+    rested: dict[int, tuple[int, int]] = field(default_factory=dict)
     # decisions, edges: decisions and pin edges in order
     decisions: list[Decision] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
@@ -123,6 +132,8 @@ class Recording:
         fix_rows = {fix.sequence: row for row, fix in fixes}  # the first row of a duplicate
         failed = np.array([d.status != 0 for d in decisions], dtype=bool)
         planned = np.where(failed, np.nan, 1.0)
+        rows = range(first, first + len(decisions))
+        rested = np.array([self.rested.get(row, UNKNOWN) for row in rows], dtype=np.int64).reshape(-1, 2)
 
         def integers(name: str) -> np.ndarray:
             return np.array([getattr(d, name) for d in decisions], dtype=np.int64)
@@ -142,6 +153,8 @@ class Recording:
             extra={
                 **{name: integers(name) for name in ("status", "path_index", "scheduled_us")},
                 "limb_use": integers("limb_use").reshape(-1, LIMBS_MAX),
+                "rested_us": rested[:, 0],
+                "rested_after": rested[:, 1],
                 **({"lost": integers("lost").reshape(-1, LIMBS_MAX)} if self.options.learn else {}),
             },
         )
@@ -151,6 +164,7 @@ class Recording:
         fixes = self.fixes[first:]
         poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64).reshape(-1, 3)
         count = len(fixes)
+        heard = np.array([one or UNKNOWN for one in self.heard[first:]], dtype=np.int64).reshape(-1, 2)
         return Fixes(
             time_s=np.array(self.sent_s[first:]),
             capture_time_s=np.array([fix.capture_s for fix in fixes]),
@@ -168,6 +182,8 @@ class Recording:
                 "robot_status": np.array(
                     [1 if status is None else status for status in self.fix_status[first:]], dtype=np.int64
                 ),
+                "heard_us": heard[:, 0],
+                "heard_after": heard[:, 1],
             },
         )
 

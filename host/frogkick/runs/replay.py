@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from frogkick.core.arrays import Float32
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
+from frogkick.link.frames import Frame, pack_frame
 from frogkick.link.layout import Value, link_layout
-from frogkick.link.wire import RobotPort
+from frogkick.link.wire import BYTE_S, RobotPort
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import configure
 from frogkick.runs.decision import (
+    RESTING,
     STALE,
     Decision,
     DecisionTwin,
@@ -27,12 +30,14 @@ from frogkick.runs.path_change import PathSender
 from frogkick.runs.record import LEARN, lost_at_start
 from frogkick.runs.recorded.importer import clock_problem
 from frogkick.runs.runlog import PathChange, RunLog
-from frogkick.runs.session import LinkError, Session
+from frogkick.runs.session import LinkError, Session, fix_values
 from frogkick.tables.image import Tables
 
 LEAD_IN_S = 1.0  # robot time before the recorded run's time zero, for path and parameters
 START_AHEAD_S = 0.2  # from ARM and START to the first decision
 STEP_S = 0.02
+_AHEAD_US = 6000  # a fix is sent so long before the decision that it was heard before
+_PATH_US = 25_000  # a part of a path on the line, at most
 _COORDINATE_MOST = 1e6  # of a fix, m or rad: beyond any pool, and within float32
 
 
@@ -67,6 +72,22 @@ class Schedule:
     then: tuple[PathChange, ...] = ()  # paths that take over
     # index of the action that was swum after each decision; None: not known
     strokes: tuple[int | None, ...] = ()
+    # decision -> since when the robot rested, us, as its guard refused the stroke, and after how many fixes
+    rested: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    # of each fix its capture time, us, and how many decisions come before it; (): as their times say
+    heard: tuple[tuple[int, int], ...] = ()
+
+    def decided_us(self, index: int) -> int:
+        """Time of a decision."""
+        return self.first_us + index * self.period_us
+
+    def heard_of(self, row: int) -> tuple[int, int]:
+        """Capture time of a fix, us, and how many decisions come before it."""
+        if self.heard:
+            return self.heard[row]
+        arrival_s, fix = self.fixes[row]
+        before = -((self.first_us - round(arrival_s * 1e6)) // self.period_us)
+        return round(fix.capture_s * 1e6), max(0, before)
 
 
 def require_replayable(run: RunLog) -> None:
@@ -94,20 +115,31 @@ def require_replayable(run: RunLog) -> None:
 
 
 def _schedule(run: RunLog, tables: Tables) -> Schedule:
-    fixes = []
+    extra, first_us = run.fixes.extra, round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
+    is_exact = {"heard_us", "heard_after"} <= extra.keys() and "scheduled_us" in run.decisions.extra
+    used = run.fixes.usable & (extra["heard_us"] >= 0) if is_exact else run.fixes.usable
+    later_us = first_us - int(run.decisions.extra["scheduled_us"][0]) if is_exact else 0
+    fixes, heard = [], []
     # The robot recognises a duplicate by its number and pose.
-    numbers = run.fixes.extra.get("sequence", np.arange(len(run.fixes)))
-    for row in np.flatnonzero(run.fixes.usable):
+    numbers = extra.get("sequence", np.arange(len(run.fixes)))
+    for row in np.flatnonzero(used):
         pose = run.fixes.pose_world[row].tolist()
         arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
         capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
         fixes.append(
             (arrival_s, Fix(capture_s, arrival_s - capture_s, *pose, sequence=int(numbers[row]) & 0xFFFF))
         )
-    first_us = round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
-    index = {row.name: number for number, row in enumerate(tables.actions)}
-    strokes = tuple(index.get(name) for name in run.decided(unseen=""))
-    return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions), run.then, strokes)
+        if is_exact:
+            heard.append((int(extra["heard_us"][row]) + later_us, int(extra["heard_after"][row])))
+    numbered = {action.name: number for number, action in enumerate(tables.actions)}
+    strokes = tuple(numbered.get(name) for name in run.decided(unseen=""))
+    period_us = round(run.period_s * 1e6)
+    rested: dict[int, tuple[int, int]] = {}
+    if is_exact and {"rested_us", "rested_after"} <= run.decisions.extra.keys():
+        rested_us, after = (run.decisions.extra[name] for name in ("rested_us", "rested_after"))
+        for index in np.flatnonzero(rested_us >= 0).tolist():
+            rested[index] = int(rested_us[index]) + later_us, int(np.count_nonzero(used[: after[index]]))
+    return Schedule(fixes, first_us, period_us, len(run.decisions), run.then, strokes, rested, tuple(heard))
 
 
 def replay(
@@ -121,7 +153,8 @@ def replay(
     """Give a run's fixes to the planner at their recorded times, and decide at the recorded times.
 
     The strokes that it decides have no effect. On the host alone they are taken to be those that were swum,
-    so that a decision which differs does not spoil the estimates after it; a robot takes its own for granted.
+    so that a decision which differs does not spoil the estimates after it; a robot takes its own for granted,
+    and its limbs are cool: it swims also where the recorded robot's guard refused a stroke.
 
     Args:
         run: recorded run with its path.
@@ -170,20 +203,71 @@ def replay_on_host(events: Sequence[RobotEvent], twin: DecisionTwin) -> list[Dec
 
 
 def _events_of(schedule: Schedule) -> list[RobotEvent]:
-    """The events of a robot on this schedule: a decision uses the fixes that arrived before it."""
-    timed = [
-        (round(arrival_s * 1e6), 0, RobotEvent(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence))
-        for arrival_s, fix in schedule.fixes
-    ]
+    """The events of a robot on this schedule: of each decision first what came before it."""
+    # Before a decision a path, and fixes by their rows; then the decision, and its stroke.
+    ordered: list[tuple[tuple[int, int, float], RobotEvent]] = []
     for change in schedule.then:  # when it came is not known: at once after the decision before
-        before_us = schedule.first_us + (change.decision - 1) * schedule.period_us
-        timed.append((before_us, 3, RobotEvent(0, path=change.path)))
+        ordered.append(((change.decision, 0, 0), RobotEvent(0, path=change.path)))
+    for row, (_, fix) in enumerate(schedule.fixes):
+        capture_us, before = schedule.heard_of(row)
+        ordered.append(((before, 1, row), RobotEvent(capture_us, fix.pose_world, fix.sequence)))
     for index in range(schedule.decisions):
-        at_us = schedule.first_us + index * schedule.period_us
-        timed.append((at_us, 1, RobotEvent(at_us)))
+        at_us = schedule.decided_us(index)
+        ordered.append(((index, 2, 0), RobotEvent(at_us)))
         if (stroke := schedule.strokes[index]) is not None:
-            timed.append((at_us, 2, RobotEvent(at_us, action=stroke)))
-    return [event for _, _, event in sorted(timed, key=lambda row: row[:2])]
+            ordered.append(((index, 3, 0), RobotEvent(at_us, action=stroke)))
+        if index in schedule.rested:
+            begin_us, after = schedule.rested[index]
+            ordered.append(((index + 1, 1, after - 0.5), RobotEvent(begin_us, action=RESTING)))
+    return [event for _, event in sorted(ordered, key=lambda row: row[0])]
+
+
+@dataclass
+class _Line:
+    """The line to a robot in simulated time, on which a fix shall be read at the microsecond that is wanted.
+
+    Attributes:
+        late_us: from a frame's last byte to its reading, as of the last fix.
+        free_us: time at which the line has sent what was posted.
+    """
+
+    session: Session
+    late_us: int = 0
+    free_us: int = 0
+    # sequence number of a fix -> when it shall be read, and the age that it says
+    sent: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def read_us(self, name: str, values: dict[str, Value]) -> int:
+        """When a frame is read that is posted now."""
+        return self._now_us + self._wire_us(name, values) + self.late_us
+
+    @property
+    def _now_us(self) -> int:
+        return math.ceil(round(self.session.time_s * 1e6, 3))
+
+    @staticmethod
+    def _wire_us(name: str, values: dict[str, Value]) -> int:
+        return round(len(pack_frame(name, "command", 0, values)) * BYTE_S * 1e6)
+
+    def post_path(self) -> None:
+        """Take note that a part of a path was posted."""
+        self.free_us = max(self.free_us, self._now_us) + _PATH_US
+
+    def post_fix(self, fix: Fix, capture_us: int) -> int:
+        """Send a fix as soon as the line is free; return its sequence number."""
+        values = fix_values(fix, 0)
+        begin_us = max(self._now_us, self.free_us)
+        self.free_us = begin_us + self._wire_us("FIX", values)
+        age_us = max(0, self.free_us + self.late_us - capture_us)
+        sequence = self.session.post("FIX", values | {"capture_age_us": age_us}, at_s=begin_us * 1e-6)
+        self.sent[sequence] = self.free_us, age_us
+        return sequence
+
+    def answered(self, frame: Frame) -> None:
+        """Learn from the answer to a fix how late it was read."""
+        read_us, age_us = self.sent.pop(frame.sequence)
+        if frame.values["capture_us"]:
+            self.late_us = int(frame.values["capture_us"]) + age_us - read_us
 
 
 def replay_onboard(
@@ -208,30 +292,52 @@ def replay_onboard(
     configure(session, config, learn)
     session.set_parameters({"PERIOD_US": schedule.period_us})
     session.send_path(path)
-    waiting = list(schedule.fixes)
+    waiting = [(*fix, *schedule.heard_of(row)) for row, fix in enumerate(schedule.fixes)]
+    line = _Line(session) if schedule.heard else None
     poses: dict[int, Float32] = {}
     sender, changes = PathSender(session), list(schedule.then)
     events: list[RobotEvent] = []
     decisions: list[Decision] = []
     running = False
+
+    def due_s() -> float:
+        """When the next fix is to be sent: at its arrival, and between the decisions that are known of it."""
+        arrival_s, _, capture_us, before = waiting[0]
+        if line is None:
+            return arrival_s
+        if running and len(decisions) < before:
+            return math.inf
+        latest_us = schedule.decided_us(before) - _AHEAD_US
+        return max(min(arrival_s, latest_us * 1e-6), capture_us * 1e-6)
+
     while len(decisions) < schedule.decisions:
         next_us = schedule.first_us + len(decisions) * schedule.period_us
         if not running and next_us * 1e-6 - session.time_s < START_AHEAD_S:
             # Also after the robot ended its run at the path's end: the recorded robot swam on.
-            running = _start(session, next_us)
+            running = _start(session, next_us, line)
         if running and changes and len(decisions) >= changes[0].decision:
             sender.begin(changes.pop(0).path)
-        next_s = waiting[0][0] if waiting else session.time_s + STEP_S
+            if line is not None:
+                line.post_path()
+        next_s = due_s() if waiting else session.time_s + STEP_S
         session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
-        while waiting and waiting[0][0] <= session.time_s:
-            _, fix = waiting.pop(0)
-            poses[session.post_fix(fix, session.time_s)] = fix.pose_world
+        while waiting and due_s() <= session.time_s:
+            _, fix, capture_us, _ = waiting.pop(0)
+            if line is None:
+                sequence = session.post_fix(fix, session.time_s)
+            else:
+                sequence = line.post_fix(fix, capture_us)
+            poses[sequence] = fix.pose_world
         for arrival in session.take("FIX", "PATH", "DECISION", "REFUSED", "ENDED"):
             frame = arrival.frame
             events += events_of_frame(frame, poses)
             if frame.name == "PATH" and (changed := sender.answered(frame)) is not None:
                 events.append(RobotEvent(0, path=changed))
+            elif frame.name == "PATH" and line is not None:
+                line.post_path()
             elif frame.name == "FIX":
+                if line is not None:
+                    line.answered(frame)
                 del poses[frame.sequence]
             elif frame.name == "DECISION":
                 decisions.append(decision_of_event(frame.values))
@@ -244,12 +350,23 @@ def replay_onboard(
     return decisions, events
 
 
-def _start(session: Session, first_us: int) -> bool:
-    """ARM, and START with its first decision at a time; False where the robot has no fix yet."""
+def _start(session: Session, first_us: int, line: _Line | None) -> bool:
+    """ARM, and START with its first decision at a time; False where the robot has no fix yet.
+
+    On a ``line`` a START that was read at another microsecond than expected is stopped and repeated.
+    """
     session.request("ARM")
-    delay_us = first_us - round(session.time_s * 1e6)
-    values: dict[str, Value] = {"delay_us": max(0, delay_us)}
-    status = int(session.ask("START", values)["status"])
-    if status not in (0, STALE):
-        raise LinkError(f"the robot refuses START {values}: {link_layout().status_name(status)}")
+    late_us = 0
+    for tries_left in range(0 if line is None else 2, -1, -1):
+        read_us = round(session.time_s * 1e6) if line is None else line.read_us("START", {"delay_us": 0})
+        values: dict[str, Value] = {"delay_us": max(0, first_us - read_us - late_us)}
+        answer = session.ask("START", values)
+        status = int(answer["status"])
+        if status not in (0, STALE):
+            raise LinkError(f"the robot refuses START {values}: {link_layout().status_name(status)}")
+        off_us = int(answer["first_decision_us"]) - first_us
+        if status == STALE or tries_left == 0 or off_us == 0:
+            break
+        session.request("STOP")
+        late_us += off_us
     return status == 0

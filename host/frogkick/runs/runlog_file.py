@@ -5,6 +5,12 @@ and seed. Groups: `fixes`, `decisions`, `strokes`, and optionally `path`, `then`
 in a group by its number, and in `decision` the first row of `decisions` that follows each), `truth`
 (simulated runs), `measured` and `planner` (numbers as attributes) and `made` (texts as datasets). Every
 column has the attribute `unit`.
+
+A run of ours has of each fix `fixes/heard_us`, its capture time on the clock of `decisions/scheduled_us`, and
+`fixes/heard_after`, the number of decisions before it, as whoever decided had them (-1: not): from these a
+replay repeats the decisions exactly. So it does with `decisions/rested_us`: since when the robot rested
+because its guard refused the stroke (-1: it swam), and after how many rows of `fixes` that was known
+(`decisions/rested_after`). Older logs lack these.
 """
 
 from __future__ import annotations
@@ -147,14 +153,15 @@ def _read(file: h5py.File) -> RunLog:
     changed = file["then/decision"][:].tolist() if "then" in file else []
     holds = file["then/hold"][:] if "then/hold" in file else np.full((len(changed), 3), np.nan)
     names = file["decisions/action"].attrs["names"]
+    fixes = Fixes(**_read_group(file, Fixes))
     return RunLog(
         robot_id=str(file.attrs["robot_id"]),
         source=str(file.attrs["source"]),
         period_s=float(file.attrs["period_s"]),
         pulse_s=float(file.attrs["pulse_s"]),
         action_names=() if isinstance(names, h5py.Empty) else tuple(str(action) for action in names),
-        fixes=Fixes(**_read_group(file, Fixes)),
-        decisions=Decisions(**_read_group(file, Decisions)),
+        fixes=fixes,
+        decisions=Decisions(**_read_group(file, Decisions, len(fixes))),
         strokes=Strokes(**_read_group(file, Strokes)),
         path=path,
         # -1: the run that this is the log of has not got so far
@@ -205,7 +212,10 @@ def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth, ch
         target.create_dataset(name, data=values, **grows).attrs["unit"] = unit
 
 
-def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]) -> dict[str, Any]:
+def _read_group(
+    file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth], fixes: int = 0
+) -> dict[str, Any]:
+    """The columns of a group; ``fixes``: how many rows of them were read before, of a log that grows."""
     if kind.NAME not in file:
         raise InputError(f"run: group {kind.NAME!r} is missing: record or import it again")
     group = file[kind.NAME]
@@ -218,7 +228,7 @@ def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]
     known = {entry.name for entry in fields(kind)}
     columns["extra"] = {name: group[name][:] for name in group if name not in known}
     if file.attrs.get("live", False):
-        _cut(columns, len(file[Fixes.NAME]["time_s"]))
+        _cut(columns, fixes)
     return columns
 
 

@@ -32,6 +32,18 @@ class LinkError(FrogkickError):
     """The robot refused a command or did not answer."""
 
 
+def fix_values(fix: Fix, age_us: int) -> dict[str, Value]:
+    """The fields of a FIX command; ``age_us``: of the picture at its reading."""
+    return {
+        "fix_sequence": fix.sequence,
+        "quality": 1,
+        "capture_age_us": age_us,
+        "x_m": fix.x_m,
+        "y_m": fix.y_m,
+        "heading_rad": fix.heading_rad,
+    }
+
+
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Ignore Ctrl-C meanwhile."""
@@ -93,15 +105,8 @@ class Session:
 
     def post_fix(self, fix: Fix, at_s: float) -> int:
         """Send a position fix at ``at_s``, which its age counts to; return its sequence number."""
-        values: dict[str, Value] = {
-            "fix_sequence": fix.sequence,
-            "quality": 1,
-            "capture_age_us": max(0, round((at_s - fix.capture_s) * 1e6)),
-            "x_m": fix.x_m,
-            "y_m": fix.y_m,
-            "heading_rad": fix.heading_rad,
-        }
-        return self.post("FIX", values, at_s=at_s)
+        age_us = max(0, round((at_s - fix.capture_s) * 1e6))
+        return self.post("FIX", fix_values(fix, age_us), at_s=at_s)
 
     def take(self, *names: str) -> list[Arrival]:
         """Remove and return the arrived frames of some names, in order."""

@@ -25,6 +25,8 @@ LEVEL = os.environ.get("FK_LEVEL") or "quick"
 FULL = LEVEL == "full"
 from_ci = pytest.mark.from_ci
 """A slow test, which make test leaves out: cheaper ones hold most of it."""
+few_at_ci = [0]
+"""1 while a test runs that has the fixture ``few_pieces``."""
 LEFT_OUT = "slow tests that are left out: FK_LEVEL=ci runs them"
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for; ``LEFT_OUT`` -> number of tests."""
@@ -60,10 +62,13 @@ def count(ci: int, full: int, quick: int | None = None) -> int:
     return chosen
 
 
-def some(cases: Iterable[Any], quick: int) -> list[Any]:
-    """All cases of a parametrized test; in make test ``quick`` of them, evenly spread, with the first."""
+def some(cases: Iterable[Any], quick: int, ci: int | None = None) -> list[Any]:
+    """All cases of a parametrized test; in make test ``quick`` of them, evenly spread, with the first.
+
+    ``ci``: as many in .ci/run, of cases that are alike and dear.
+    """
     every = list(cases)
-    wanted = count(len(every), len(every), min(quick, len(every)))
+    wanted = count(len(every) if ci is None else ci, len(every), min(quick, len(every)))
     return [every[k * len(every) // wanted] for k in range(wanted)]
 
 
@@ -131,6 +136,17 @@ def few_wear_gains() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wear, "GAINS", tuple(some(wear.GAINS[::-1], 2)[::-1]))
         yield
+
+
+@pytest.fixture
+def few_pieces() -> Iterator[None]:
+    """Robots of few pieces (``made.robot``) in .ci/run as in make test; as they are drawn in make test-full.
+
+    For a test that asks something of a search, a command or a file, not of how finely a robot is drawn.
+    """
+    few_at_ci[0] = 1
+    yield
+    few_at_ci[0] = 0
 
 
 def compile_once() -> None:

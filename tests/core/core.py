@@ -164,10 +164,20 @@ def kept_of(on_us: Sequence[int] = ()) -> Any:
 
 def image(**changes: object) -> bytes:
     """A made-up table with these actions and wear curves; ``changes`` replace arguments of pack_nearest."""
+    return _packed(changes) if changes else _plain_image()
+
+
+@cache
+def _plain_image() -> bytes:
+    """Made once: each robot of these tests carries it."""
+    return _packed({})
+
+
+def _packed(changes: Mapping[str, object]) -> bytes:
     rows = changes.get("action_rows", ACTION_ROWS)
     assert isinstance(rows, list)
     given = {"action_rows": rows, "limb_wear": synthetic.bent_curves()}
-    return synthetic.pack(*synthetic.transitions(60, len(rows), 5), **(given | changes))
+    return synthetic.pack(*synthetic.transitions(60, len(rows), 5), **(given | dict(changes)))
 
 
 @dataclass(frozen=True)

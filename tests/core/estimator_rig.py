@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tests.core.core import ACTION_ROWS, FFI, PERIOD_US, RESTING, STATUS, core, image, pick
 from tests.planner import synthetic
 
-from frogkick.estimator.estimator import FUTURE_US, STALE_US, Estimator
+from frogkick.estimator.estimator import FUTURE_US, STALE_US, UNKNOWN_US, Estimator
 from frogkick.estimator.track import PERIOD_LEAST_US
 from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.tables.image import Tables, open_image
@@ -196,6 +196,11 @@ def stream(seed: int) -> Stream:
     if name == "affine" and seed % 4 == 0:  # of any miss something is learned
         switched_us = [begin_us - 1, *rng.integers(begin_us, end_us, int(rng.choice([0, 0, 3]))).tolist()]
         events += [(int(us), ("learn", 0, pick(rng, [ON, ON, HELD, OFF]), 0)) for us in switched_us]
+    if seed % 10 == 3:  # a fix from elsewhere is believed once nothing was seen for long enough
+        last_us = max((event[1] for _, event in events if event[0] == "fix"), default=begin_us)
+        seen_us = last_us + UNKNOWN_US + pick(rng, [0, 1])
+        elsewhere = (pose + 0.5).astype(np.float32)
+        events.append((max(seen_us, *(us for us, _ in events)), ("fix", seen_us, elsewhere, sequence)))
     return Stream(name, [event for _, event in sorted(events, key=lambda row: row[0])])
 
 

@@ -208,7 +208,7 @@ def one_sequence(seed: int, guard: Guard, judge: Callable[[str, bool, bool], Non
 
 def test_no_wish_breaks_a_limit_and_every_wish_within_them_is_allowed() -> None:
     allowed_count = refused_count = 0
-    for seed in range(cases(20_000, 400_000, 1000)):
+    for seed in range(cases(6000, 400_000, 1000)):  # each planted fault is found within 3000
         guard = Guard()
 
         def judge(wish: str, allowed: bool, wanted: bool, seed: int = seed, guard: Guard = guard) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from frogkick.paths import Path
 from frogkick.planner.plan import config_of
 from frogkick.robot import load_robot
 from frogkick.runs.decision import DecisionTwin, RobotEvent, decision_of_event, events_of_frame
-from frogkick.tables.image import open_image
+from frogkick.tables.image import Tables, open_image
 
 DEFAULTS = config_of(load_robot("frog2022").planner)
 Rows = Sequence[Sequence[float]]
@@ -233,8 +234,13 @@ def changed_in_c(path: Path, x_m: float, y_m: float, made: Any = None) -> float:
     return float(robot.follow.along_points)
 
 
+@cache
+def opened() -> Tables:
+    return open_image(image())
+
+
 def changed_in_python(path: Path, x_m: float, y_m: float) -> float:
-    follow = Follow(open_image(image()), path, DEFAULTS)
+    follow = Follow(opened(), path, DEFAULTS)
     follow.coming = path
     follow.take_over(np.float32(x_m), np.float32(y_m))
     assert follow.coming is None

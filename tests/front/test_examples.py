@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from tests.conftest import REPOSITORY, count, from_ci
-from tests.identification.made import robot as few_pieces
+from tests.identification.made import robot as made_robot
 
 import frogkick as fk
 from frogkick.identification import choice as choice_module
@@ -35,12 +35,12 @@ built: dict[tuple[Any, ...], fk.Library] = {}
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+def quick(few_pieces: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A folder to run in; but with test-full the same calls are made cheaper."""
     monkeypatch.chdir(tmp_path)
     if few := count(60, 0, 46):
         load, build = fk.load_robot, fk.build_library
-        some = [term for term in catalogue(few_pieces()) if "limb_wear rear" in term.title]
+        some = [term for term in catalogue(made_robot()) if "limb_wear rear" in term.title]
 
         def fewer(robot: fk.Robot, states: int = 300, **options: Any) -> fk.Library:
             key = (robot, states, *options.items())
@@ -48,7 +48,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
                 built[key] = build(robot, min(states, few), **options)
             return built[key]
 
-        monkeypatch.setattr(fk, "load_robot", lambda name: few_pieces() if name == "frog2022" else load(name))
+        monkeypatch.setattr(fk, "load_robot", lambda name: made_robot() if name == "frog2022" else load(name))
         monkeypatch.setattr(fk, "build_library", fewer)
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
         monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})

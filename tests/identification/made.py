@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.conftest import count
+from tests.conftest import count, few_at_ci
 
 from frogkick.effects import World, make_effects
 from frogkick.identification.diagnostics import residual_diagnostics
@@ -38,11 +38,18 @@ def term(title: str, *values: float) -> Term:
     return found.at([*values, *found.values[len(values) :]])
 
 
-@cache
 def robot(name: str = "frog2022", side: int = 3, limb: int = 3) -> Robot:
-    """The paper's; in make test of so few pieces, which swims much the same at a quarter of the cost."""
+    """The paper's; in make test of so few pieces, which swims much the same at a quarter of the cost.
+
+    So it is in .ci/run in tests with the fixture ``few_pieces``; as it is drawn everywhere in make test-full.
+    """
+    return _robot(name, side, limb, bool(count(few_at_ci[0], 0, 1)))
+
+
+@cache
+def _robot(name: str, side: int, limb: int, is_of_few: bool) -> Robot:
     plain = load_robot(name)
-    if not count(0, 0, 1):
+    if not is_of_few:
         return plain
     table = tomllib.loads(plain.toml)
     table["frame"]["segments"] = [side] * len(table["frame"]["segments"])

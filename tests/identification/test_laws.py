@@ -148,6 +148,7 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 @from_ci
+@pytest.mark.usefixtures("few_pieces")
 @pytest.mark.parametrize(("title", "table"), some(WORLDS, 1))
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
     seeds, periods = range(1, count(4, 4, 3)), count(PERIODS, PERIODS, 12)

@@ -151,6 +151,7 @@ def without_a_clock(source: pathlib.Path, folder: pathlib.Path) -> pathlib.Path:
 
 
 @from_ci
+@pytest.mark.usefixtures("few_pieces")
 def test_a_run_without_a_clock_changes_nothing_among_good_ones(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from tests.conftest import LEVEL, REPOSITORY, from_ci
+from tests.conftest import LEVEL, REPOSITORY, from_ci, some
 from tests.runs import rig
 from tests.structure.wheel import Environment, build_wheel, installed, repository_files
 
@@ -154,7 +154,7 @@ def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment
 
 
 @pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
-@pytest.mark.parametrize("name", ["swim", "run"])
+@pytest.mark.parametrize("name", some(["run", "swim"], 1, 1))
 def test_an_example_runs_from_the_wheel(name: str, whole: Environment) -> None:
     said = whole.script(REPOSITORY / "host" / "examples" / f"{name}.py")
     assert said.code == 0, said.stderr

@@ -1,0 +1,19 @@
+"""What every test over a link needs beforehand."""
+
+from __future__ import annotations
+
+import pytest
+from tests.runs import rig
+
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.runs.decision import warm_up
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled() -> None:
+    """Estimator and planner, as ``front.bench`` does before a run: robots here swim by the clock.
+
+    In a fresh clone a run on the host would wait for the compiler for a second and more, while its fixes age.
+    """
+    warm_up(rig.tables(), shape("line"), PlanConfig())

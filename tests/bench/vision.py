@@ -44,9 +44,9 @@ def main(frames: int) -> None:
             picture = one.picture(truth, rng)
             tracker.forget()
             began = time.process_time()
-            seen = tracker.observe(picture, 0.0)
+            seen = tracker.observe(picture)
             between = time.process_time()
-            again = tracker.observe(picture, 0.0)
+            again = tracker.observe(picture)
             window_s += time.process_time() - between
             whole_s += between - began
             windows += again.windowed

@@ -157,17 +157,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert sorted(p.name for p in tmp_path.iterdir()) == ["swim.gif"]
 
 
-def test_mp4_without_opencv_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "cv2", None)  # as where it is not installed
-    assert run_command(["simulate", "--actions", "C", "--animation", str(tmp_path / "swim.mp4")]) == 2
-    told = capsys.readouterr().err.strip()
-    assert "opencv-python-headless" in told
-    assert "\n" not in told
-    assert list(tmp_path.iterdir()) == []
-
-
 class Recorder:
     """Stands in for cv2.VideoWriter where OpenCV is not installed: keeps what it is given."""
 

@@ -15,7 +15,7 @@ from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.der import prepare
 from frogkick.report import style
-from frogkick.report.robot_figure import robot_figure, write_robot_figure
+from frogkick.report.robot_figure import robot_figure
 from frogkick.robot import built_in_robots, limb_points, load_robot
 
 
@@ -64,13 +64,13 @@ def test_the_active_limb_is_straighter_and_points_back() -> None:
 def test_the_same_robot_gives_the_same_bytes(ending: str, tmp_path: Path) -> None:
     robot = load_robot("streamlined")
     for name in ("one", "two"):
-        write_robot_figure(robot, tmp_path / f"{name}.{ending}")
+        style.write_picture(robot_figure(robot), tmp_path / f"{name}.{ending}")
     assert (tmp_path / f"one.{ending}").read_bytes() == (tmp_path / f"two.{ending}").read_bytes()
 
 
 def test_other_kinds_of_pictures_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.png or \.svg or \.pdf"):
-        write_robot_figure(load_robot("frog2022"), tmp_path / "x.bmp")
+        style.write_picture(robot_figure(load_robot("frog2022")), tmp_path / "x.bmp")
     assert list(tmp_path.iterdir()) == []
 
 

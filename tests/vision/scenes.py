@@ -76,7 +76,7 @@ def errors(
     for _ in range(poses):
         truth = drawn_pose(of, rng)
         tracker.forget()
-        one = tracker.observe(of.picture(truth, rng), 0.0)
+        one = tracker.observe(of.picture(truth, rng))
         seen.append(one)
         if one.pose is not None:
             pose = one.pose

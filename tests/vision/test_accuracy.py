@@ -52,7 +52,7 @@ def test_the_heading_holds_on_waves_that_tilt_the_tag(wave_height_m: float) -> N
     for _ in range(WAVES):
         truth = drawn_pose(rough, rng)
         tracker.forget()
-        pose = tracker.observe(rough.picture(truth, rng), 0.0).pose
+        pose = tracker.observe(rough.picture(truth, rng)).pose
         flat_off += [] if pose is None else [wrap_angle(pose.heading_rad - truth[2])]
     assert np.std(flat_off) > 2.0 * np.std(off[:, 2])
 
@@ -66,7 +66,7 @@ def test_waves_move_the_place_by_their_heave_alone(wave_height_m: float) -> None
     for _ in range(WAVES):
         truth = drawn_pose(rough, rng)
         tracker.forget()
-        pose = tracker.observe(rough.picture(truth, rng), 0.0).pose
+        pose = tracker.observe(rough.picture(truth, rng)).pose
         if pose is not None:
             error = np.array([pose.x_m - truth[0], pose.y_m - truth[1]])
             off.append(np.hypot(*error))
@@ -93,11 +93,7 @@ def test_noise_makes_the_covariance_larger() -> None:
     quiet, loud = scene(noise=1.0), scene(noise=20.0)
     deviations = []
     for one in (quiet, loud):
-        pose = (
-            Tracker(calibration(one))
-            .observe(one.picture((0.6, 0.4, 1.0), np.random.default_rng(3)), 0.0)
-            .pose
-        )
+        pose = Tracker(calibration(one)).observe(one.picture((0.6, 0.4, 1.0), np.random.default_rng(3))).pose
         assert pose is not None
         deviations.append(np.sqrt(np.diag(pose.covariance))[2])
     assert deviations[1] > 1.5 * deviations[0]
@@ -110,7 +106,7 @@ def test_a_tag_whose_height_is_not_stated_is_seen_elsewhere() -> None:
     from frogkick.vision.pool_plane import calibrate_corners
 
     flat = calibrate_corners(usual.corners_px(), usual.pool_m, usual.view.image_px, Tag(), 0.0, 1.35)
-    pose = Tracker(flat).observe(usual.picture((0.1, 0.8, 0.0), np.random.default_rng(4)), 0.0).pose
+    pose = Tracker(flat).observe(usual.picture((0.1, 0.8, 0.0), np.random.default_rng(4))).pose
     assert pose is not None
     shift = 1e3 * np.array([pose.x_m - 0.1, pose.y_m - 0.8])
     expected = 1e3 * (np.array([0.1, 0.8]) - [0.7, 0.25]) * 0.012 / (1.35 - 0.012)
@@ -125,7 +121,7 @@ def test_a_moving_tag_is_followed_in_a_window() -> None:
     for k in range(count(12, 300)):
         time_s = k / 30
         truth = (0.6 + 0.3 * np.cos(time_s), 0.45 + 0.3 * np.sin(time_s), wrap_angle(2.0 * time_s))
-        seen = tracker.observe(usual.picture(truth, rng), time_s)
+        seen = tracker.observe(usual.picture(truth, rng))
         assert seen.pose is not None, (k, seen.reason)
         assert np.hypot(seen.pose.x_m - truth[0], seen.pose.y_m - truth[1]) < 1e-3
         assert abs(wrap_angle(seen.pose.heading_rad - truth[2])) < np.deg2rad(0.5)
@@ -139,6 +135,6 @@ def test_a_jump_is_found_in_the_whole_frame() -> None:
     rng = np.random.default_rng(7)
     for _ in range(count(4, 100)):
         truth = drawn_pose(usual, rng)
-        pose = tracker.observe(usual.picture(truth, rng), 0.0).pose
+        pose = tracker.observe(usual.picture(truth, rng)).pose
         assert pose is not None
         assert np.hypot(pose.x_m - truth[0], pose.y_m - truth[1]) < 1e-3

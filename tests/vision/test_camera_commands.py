@@ -306,7 +306,7 @@ def test_a_page_shows_what_the_camera_sees(
             seen.append(json.load(answer))
 
     found = track_camera(file, str(pictures), view=True, each=look)
-    assert found.fixes == len(seen) > 5
+    assert found["fixes"] == len(seen) > 5
     fixes = seen[-1]["fixes"]
     assert fixes and np.abs(poses[:, :2] - fixes[-1][:2]).max(axis=1).min() < 2e-3
     assert len(seen[-1]["robot"]) >= 4 and not seen[-1]["path"], "the tag's outline, and no path"

@@ -72,13 +72,12 @@ def test_our_cells_are_the_golden_ones() -> None:
 @pytest.mark.parametrize(("turn", "heading_deg"), [(0, 90), (1, 180), (2, -90), (3, 0)])
 def test_the_heading_of_the_golden_tag(turn: int, heading_deg: float) -> None:
     """The picture's top is where the robot's forward is: upright in a camera from above, that is +y."""
-    seen = Tracker(from_above(0.048)).observe(photograph(golden(), turn), 3.5)
+    seen = Tracker(from_above(0.048)).observe(photograph(golden(), turn))
     assert seen.reason == "found"
     assert seen.pose is not None
     assert np.degrees(abs(wrap_angle(seen.pose.heading_rad - np.deg2rad(heading_deg)))) < 0.1
     # 60 px across from 130: the centre is between pixels 159 and 160, 119 and 120.
     assert np.allclose([seen.pose.x_m, seen.pose.y_m], [0.1595, 0.1195], atol=5e-5)
-    assert seen.pose.capture_s == 3.5
 
 
 def test_the_corners_of_the_golden_tag() -> None:
@@ -95,7 +94,7 @@ def test_the_corners_of_the_golden_tag() -> None:
 
 def test_a_mirrored_tag_is_none() -> None:
     for turn in range(4):
-        seen = Tracker(from_above(0.048)).observe(photograph(golden()[:, ::-1], turn), 0.0)
+        seen = Tracker(from_above(0.048)).observe(photograph(golden()[:, ::-1], turn))
         assert seen.pose is None, turn
 
 
@@ -117,6 +116,6 @@ def test_where_the_tag_sits_on_the_robot() -> None:
     robot = (0.5, 0.4, 0.3)
     c, s = np.cos(0.3), np.sin(0.3)
     tag = (0.5 + 0.03 * c - 0.01 * s, 0.4 + 0.03 * s + 0.01 * c, 0.3 + np.pi / 2)
-    seen = Tracker(moved).observe(usual.picture(tag, np.random.default_rng(5)), 0.0)
+    seen = Tracker(moved).observe(usual.picture(tag, np.random.default_rng(5)))
     assert seen.pose is not None
     assert np.allclose([seen.pose.x_m, seen.pose.y_m, seen.pose.heading_rad], robot, atol=1e-3)

@@ -29,7 +29,7 @@ def test_no_pose_without_a_tag() -> None:
         one.__dict__["still"] = still.still
         image = one.picture(None, rng, clutter(one, rng))
         tracker.forget()
-        if tracker.observe(image, 0.0).pose is not None:
+        if tracker.observe(image).pose is not None:
             false.append(k)
     assert false == []
 
@@ -47,7 +47,7 @@ def test_a_tag_with_wrong_cells_is_none(wrong: int) -> None:
             cells[row, col] = 1 - cells[row, col]
         x, y, heading = drawn_pose(usual, rng)
         tracker.forget()
-        seen = tracker.observe(usual.picture(None, rng, [(cells, x, y, heading, usual.tag_size_m)]), 0.0)
+        seen = tracker.observe(usual.picture(None, rng, [(cells, x, y, heading, usual.tag_size_m)]))
         assert seen.pose is None
         assert seen.reason in ("unclear", "no tag")
 
@@ -58,7 +58,7 @@ def test_a_lost_tag_is_told_and_found_again() -> None:
     rng = np.random.default_rng(13)
     where = (0.5, 0.5, 1.0)
     reasons = [
-        tracker.observe(usual.picture(where if there else None, rng), 0.0).reason
+        tracker.observe(usual.picture(where if there else None, rng)).reason
         for there in (True, True, False, False, True)
     ]
     assert reasons == ["found", "found", "no tag", "no tag", "found"]
@@ -68,7 +68,7 @@ def test_two_of_them_are_none() -> None:
     usual = scene()
     rng = np.random.default_rng(14)
     twin = (tag_cells("tag36h11", 0), 0.9, 0.6, 2.0, usual.tag_size_m)
-    seen = Tracker(calibration(usual)).observe(usual.picture((0.3, 0.3, 1.0), rng, [twin]), 0.0)
+    seen = Tracker(calibration(usual)).observe(usual.picture((0.3, 0.3, 1.0), rng, [twin]))
     assert (seen.pose, seen.reason) == (None, "doubled")
 
 
@@ -79,7 +79,7 @@ def test_a_tag_half_covered_is_none(cover: float) -> None:
     tracker = Tracker(calibration(covered))
     for _ in range(count(3, 100)):
         tracker.forget()
-        seen = tracker.observe(covered.picture(drawn_pose(covered, rng), rng), 0.0)
+        seen = tracker.observe(covered.picture(drawn_pose(covered, rng), rng))
         assert seen.pose is None
         assert seen.reason != "found"
 
@@ -91,7 +91,7 @@ def test_a_tag_cut_by_the_frame_s_edge_is_none() -> None:
     # What the camera sees ends 0.45 m from the middle: centres from there on have half a tag at most.
     for x in (1.05, 1.06, 1.07):
         tracker.forget()
-        assert tracker.observe(near.picture((x, 0.45, 0.3), rng), 0.0).pose is None
+        assert tracker.observe(near.picture((x, 0.45, 0.3), rng)).pose is None
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_glare_and_blur_give_a_right_pose_or_none(conditions: dict[str, float]) 
     for _ in range(count(40, 300, 8)):
         truth = drawn_pose(spoilt, rng)
         tracker.forget()
-        pose = tracker.observe(spoilt.picture(truth, rng), 0.0).pose
+        pose = tracker.observe(spoilt.picture(truth, rng)).pose
         if pose is not None:
             assert np.hypot(pose.x_m - truth[0], pose.y_m - truth[1]) < 1e-3
             assert abs(np.sin((pose.heading_rad - truth[2]) / 2)) < np.sin(np.deg2rad(0.5) / 2)
@@ -117,16 +117,16 @@ def test_a_tag_of_another_size_or_outside_the_pool_is_none() -> None:
     rng = np.random.default_rng(18)
     tracker = Tracker(calibration(usual))
     cells = tag_cells("tag36h11", 0)
-    large = tracker.observe(usual.picture(None, rng, [(cells, 0.6, 0.4, 1.0, 1.2 * usual.tag_size_m)]), 0.0)
+    large = tracker.observe(usual.picture(None, rng, [(cells, 0.6, 0.4, 1.0, 1.2 * usual.tag_size_m)]))
     assert (large.pose, large.reason) == (None, "wrong size")
     beside = Scene(pool_m=(0.7, 0.9))
-    seen = Tracker(calibration(beside)).observe(beside.picture((0.85, 0.45, 1.0), rng), 0.0)
+    seen = Tracker(calibration(beside)).observe(beside.picture((0.85, 0.45, 1.0), rng))
     assert (seen.pose, seen.reason) == (None, "outside the pool")
 
 
 def test_a_frame_of_another_size_is_an_error() -> None:
     with pytest.raises(InputError, match="320 x 240 px, the calibration is for 640 x 480"):
-        Tracker(calibration(scene())).observe(np.zeros((240, 320), np.uint8), 0.0)
+        Tracker(calibration(scene())).observe(np.zeros((240, 320), np.uint8))
 
 
 def test_a_tag_too_small_is_an_error() -> None:

@@ -21,9 +21,9 @@ def test_rendered_frames_from_source_to_pose() -> None:
     tracker = Tracker(calibration(usual))
     source = scene_frames(usual, lambda t: (0.4 + t, 0.5, 0.2), np.random.default_rng(31), rate_hz=10)
     for k, frame in enumerate(itertools.islice(source, 3)):
-        seen = tracker.observe(frame.image, frame.capture_s)
+        seen = tracker.observe(frame.image)
         assert seen.pose is not None
-        assert frame.sequence == k and seen.pose.capture_s == pytest.approx(k / 10)
+        assert frame.sequence == k and frame.capture_s == pytest.approx(k / 10)
         assert seen.pose.x_m == pytest.approx(0.4 + k / 10, abs=1e-3)
 
 

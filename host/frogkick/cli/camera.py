@@ -199,16 +199,15 @@ def track(
         print(f"{x_m:.5f} {y_m:.5f} {heading_rad:.5f} {fix.delay_s:.4f}", flush=True)
 
     found = opt.call(track_camera, locals(), each=(lambda _fix: None) if json else print_fix)
-    values = found.as_json()
     if json:
-        show(values, json)
-    without = {reason: count for reason, count in found.reasons.items() if reason != "found"}
+        show(found, json)
+    without = {reason: count for reason, count in found["reasons"].items() if reason != "found"}
     why = ", ".join(f"{count} x {reason}" for reason, count in without.items())
     say(
-        f"{found.fixes} fixes from {values['pictures']} pictures, {values['rate_hz']:.1f} a second"
+        f"{found['fixes']} fixes from {found['pictures']} pictures, {found['rate_hz']:.1f} a second"
         f"{f'; pictures without a fix: {why}' if why else ''}"
     )
-    if not found.fixes:
+    if not found["fixes"]:
         raise typer.Exit(1)
 
 

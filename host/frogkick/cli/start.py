@@ -183,9 +183,9 @@ def show_robot(
     described = fk.load_robot(robot)
     facts = describe(described)
     if out is not None:
-        from frogkick.report.robot_figure import write_robot_figure
+        from frogkick.report.robot_figure import robot_figure
 
-        write_robot_figure(described, out)
+        write_picture(robot_figure(described), out)
     for warning in facts["warnings"]:
         print(f"frogkick: warning: {warning}", file=sys.stderr)
     show({**facts, "out": out and str(out)}, json, _robot_text(described, facts))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -17,6 +17,18 @@ class QuietHandler(BaseHTTPRequestHandler):
     """Answers requests without a line for each of them."""
 
     def log_message(self, format: str, *args: object) -> None: ...
+
+    def answer(self, kind: str, content: bytes | None, more: Mapping[str, str] | None = None) -> None:
+        """Send a page or a file of a MIME type, with further headers; of a stream only the headers."""
+        self.send_response(200)
+        for name, value in (more or {}).items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", kind)
+        if content is not None:
+            self.send_header("Content-Length", str(len(content)))
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(content or b"")
 
 
 class _Server(ThreadingHTTPServer):

@@ -123,7 +123,7 @@ def calibrate_camera(
     if pictures is not None:
         assert board is not None
         found = read_pictures(pictures)
-        lens, lens_rms_px, _ = calibrate_lens(board, found)
+        lens, lens_rms_px = calibrate_lens(board, found)
         seen = (found[0][1].shape[1], found[0][1].shape[0])
         if image_px is not None and image_px != seen:
             raise InputError(
@@ -249,24 +249,6 @@ def check_camera(
     return CameraCheck(known, source, found, limit_mm, limit_deg)
 
 
-@dataclass(frozen=True)
-class CameraTracked:
-    """The fixes that a camera gave of the tag under it."""
-
-    fixes: int
-    reasons: dict[str, int]  # number of pictures with a fix ("found"), and by each reason without one
-    seconds: float  # from the first fix's picture to the last one's
-
-    def as_json(self) -> dict[str, Any]:
-        """The keys of the command ``camera track``."""
-        return {
-            "fixes": self.fixes,
-            "pictures": sum(self.reasons.values()),
-            "rate_hz": (self.fixes - 1) / self.seconds if self.seconds > 0.0 else 0.0,
-            "reasons": self.reasons,
-        }
-
-
 def track_camera(
     calibration: Path | str,
     source: str = "0",
@@ -274,10 +256,12 @@ def track_camera(
     seconds: float | None = None,
     view: bool = False,
     each: Callable[[Fix], None] = lambda _fix: None,
-) -> CameraTracked:
+) -> dict[str, Any]:
     """Find the tag in a camera's pictures, without a robot, until they end, the time is up, or Ctrl-C.
 
-    The arguments are the options of the command ``camera track``; ``each`` is called with each fix.
+    The arguments are the options of the command ``camera track``; ``each`` is called with each fix. Returned
+    are the command's keys; ``reasons`` has the number of pictures with a fix ("found"), and by each reason
+    without one.
     """
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise InputError(f"the duration is {seconds} s: give more than 0")
@@ -301,7 +285,13 @@ def track_camera(
             show(new)
             if not is_over:
                 time.sleep(0.005)
-    return CameraTracked(count, dict(camera.reasons), times_s[1] - times_s[0])
+    lasted_s = times_s[1] - times_s[0]
+    return {
+        "fixes": count,
+        "pictures": sum(camera.reasons.values()),
+        "rate_hz": (count - 1) / lasted_s if lasted_s > 0.0 else 0.0,
+        "reasons": dict(camera.reasons),
+    }
 
 
 def take_picture(file: Path | str, source: str = "0") -> tuple[int, int]:

@@ -66,7 +66,11 @@ def _read(file: pathlib.Path | str) -> tuple[Path, Float64]:
         raise InputError(f"path file {name!r} is not text (byte {error.start}): give a CSV file") from error
     if "\0" in text:
         raise InputError(f"path file {name!r} is not text (NUL bytes): give a CSV file")
-    rows = [(number, row) for number, row in _rows(text, name) if any(cell.strip() for cell in row)]
+    reader = csv.reader(text.splitlines())
+    try:
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise InputError(f"path file {name!r} line {reader.line_num} is not CSV: {error}") from error
     if not rows:
         raise InputError(f"path file {name!r} holds no rows: give at least 2 points")
     columns = _header(rows[0][1], name)
@@ -93,14 +97,6 @@ def _read(file: pathlib.Path | str) -> tuple[Path, Float64]:
     else:
         tangent = values["tangent_rad"]
     return Path.from_arrays(points[:, 0], points[:, 1], tangent, source.stem), points
-
-
-def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
-    reader = csv.reader(text.splitlines())
-    try:
-        return [(reader.line_num, row) for row in reader]
-    except csv.Error as error:
-        raise InputError(f"path file {name!r} line {reader.line_num} is not CSV: {error}") from error
 
 
 def _header(cells: list[str], name: str) -> list[str] | None:

@@ -33,48 +33,32 @@ _TRIED = 2000
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """How a robot holds at a path's end.
+    """How a robot holds at a path's end."""
 
-    Attributes:
-        end_m: x, y of the end, world, m: the circle's centre.
-        leave_m: length of the path after which the join begins, m; beyond the path's own: straight on.
-        entry: the path's last part, the join, and laps.
-        circle_point: index of the entry's first point on the circle.
-        laps: laps alone, from the same point of the circle.
-    """
-
-    end_m: tuple[float, float]
-    leave_m: float
-    entry: Path
-    circle_point: int
-    laps: Path
+    end_m: tuple[float, float]  # x, y of the end, world, m: the circle's centre
+    leave_m: float  # length of the path after which the join begins, m; beyond the path's own: straight on
+    entry: Path  # the path's last part, the join, and laps
+    circle_point: int  # index of the entry's first point on the circle
+    laps: Path  # laps alone, from the same point of the circle
 
 
 def hold_at_end(path: Path, radius_m: float) -> Hold:
-    """Return how to hold at a path's end.
+    """Return how to hold at a path's end, on a circle of this radius.
 
     The join begins at the last place of the path from which there is one. Where the path is too short for
     it, the robot swims straight on past the end, and comes back.
-
-    Args:
-        path: that ends there, world frame.
-        radius_m: of the circle about the end.
 
     Raises:
         InputError: the radius is not a finite number above 0.
     """
     if not 0.0 < radius_m < math.inf:
         raise InputError(f"hold: radius {radius_m} m: give a finite radius above 0 m")
-    rows = path.points_m
-    end = rows[-1]
+    end = path.points_m[-1]
     arc_m, first_m = ARC * radius_m, SPIRAL * radius_m
-    arcs_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows, axis=0).T))])
-    course = _Course(rows, arcs_m, np.unwrap(path.tangent_rad.astype(np.float64)))
-    length_m = float(arcs_m[-1])
-    here, side, sweep_rad, leave_m = _leave(course, end, arc_m, first_m)
-    is_beyond = leave_m > length_m
+    here, side, sweep_rad, leave_m = _leave(path, arc_m, first_m)
+    is_beyond = leave_m > path.along_m[-1]
     begin_m = 0.0 if is_beyond else max(0.0, leave_m - LEAD * radius_m)
-    lead = course.at(np.linspace(begin_m, leave_m, BEYOND_POINTS if is_beyond else LEAD_POINTS))
+    lead = path.poses_at(np.linspace(begin_m, leave_m, BEYOND_POINTS if is_beyond else LEAD_POINTS))
     centre = here[:2] + side * arc_m * np.array([-math.sin(here[2]), math.cos(here[2])])
     from_rad = here[2] - side * 0.5 * math.pi
     steps = max(1, math.ceil(abs(sweep_rad) * LAP_POINTS / (2.0 * math.pi)))
@@ -97,24 +81,7 @@ def hold_at_end(path: Path, radius_m: float) -> Hold:
     return Hold((float(end[0]), float(end[1])), leave_m, entry, before + SPIRAL_POINTS, circle)
 
 
-@dataclass(frozen=True, eq=False)
-class _Course:
-    """A path by its length, straight on beyond its end."""
-
-    rows: Float64
-    arcs_m: Float64
-    headings_rad: Float64
-
-    def at(self, at_m: Float64) -> Float64:
-        """(n, 3) x, y, heading."""
-        beyond_m = np.maximum(at_m - self.arcs_m[-1], 0.0)
-        last = self.headings_rad[-1]
-        columns = (self.rows[:, 0], self.rows[:, 1], self.headings_rad)
-        x, y, heading = (np.interp(at_m, self.arcs_m, column) for column in columns)
-        return np.column_stack([x + beyond_m * math.cos(last), y + beyond_m * math.sin(last), heading])
-
-
-def _leave(course: _Course, end: Float64, arc_m: float, first_m: float) -> tuple[Float64, int, float, float]:
+def _leave(path: Path, arc_m: float, first_m: float) -> tuple[Float64, int, float, float]:
     """Where the arc begins, to which side it bends (1: left, -1: right), and how far round, rad.
 
     It is the last place of the path, or else the first one straight on beyond, from which arc, line and
@@ -125,11 +92,11 @@ def _leave(course: _Course, end: Float64, arc_m: float, first_m: float) -> tuple
     """
     line_m = STRAIGHT * first_m / SPIRAL
     reach_m = math.hypot(first_m + arc_m, line_m)
-    length_m = float(course.arcs_m[-1])
+    end, length_m = path.points_m[-1], float(path.along_m[-1])
     on_m, beyond_m = np.linspace(0.0, length_m, _TRIED), length_m + np.linspace(0.0, 2.0 * reach_m, _TRIED)
     found: list[tuple[bool, float, int, float]] = []
     for at_m, is_on in ((on_m, True), (beyond_m, False)):
-        poses = course.at(at_m)
+        poses = path.poses_at(at_m)
         for side in (1, -1):
             x = end[0] - (poses[:, 0] - side * arc_m * np.sin(poses[:, 2]))
             y = end[1] - (poses[:, 1] + side * arc_m * np.cos(poses[:, 2]))
@@ -141,7 +108,7 @@ def _leave(course: _Course, end: Float64, arc_m: float, first_m: float) -> tuple
             found += [(is_on, float(at_m[k]), side, float(sweep[k])) for k in crossed]
     nearest = max(found, key=lambda row: (row[0], row[1] if row[0] else -row[1], row[2]))
     _, leave_m, side, sweep_rad = nearest
-    return course.at(np.array([leave_m]))[0], side, side * sweep_rad, leave_m
+    return path.poses_at(np.array([leave_m]))[0], side, side * sweep_rad, leave_m
 
 
 def _round(centre: Float64, radius_m: Float64, angle_rad: Float64, side: int) -> Float64:

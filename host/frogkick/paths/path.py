@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -34,6 +35,11 @@ def require_points(name: str, count: int) -> None:
 def no_length(name: str, count: int) -> InputError:
     """Return the error for a path whose points coincide."""
     return InputError(f"path {name!r} has no length (all {count} points coincide): give distinct points")
+
+
+def along_m(points_m: Float64) -> Float64:
+    """(n,) lengths, m, of the polyline through (n, 2) points up to each."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +135,20 @@ class Path:
     def length_m(self) -> float:
         """Length of the polyline through the points, m."""
         return float(np.hypot(*np.diff(self.points_m, axis=0).T).sum())
+
+    @property
+    def along_m(self) -> Float64:
+        """(n,) float64, m: length of the path up to each point."""
+        return along_m(self.points_m)
+
+    def poses_at(self, at_m: Float64) -> Float64:
+        """(k, 3) x m, y m, heading rad at (k,) lengths of the path, m; straight on beyond its end."""
+        points, lengths_m = self.points_m, self.along_m
+        headings_rad = np.unwrap(self.tangent_rad.astype(np.float64))
+        beyond_m = np.maximum(at_m - lengths_m[-1], 0.0)
+        x, y, heading = (np.interp(at_m, lengths_m, column) for column in (*points.T, headings_rad))
+        last = headings_rad[-1]
+        return np.column_stack([x + beyond_m * math.cos(last), y + beyond_m * math.sin(last), heading])
 
     def motion_to(self, pose_world: Sequence[float]) -> tuple[float, float, float]:
         """The pose for ``place`` at which the path begins at a pose (x m, y m, heading rad)."""

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import body_from_world
-from frogkick.paths.path import POINTS_MAX, Path, no_length, require_points
+from frogkick.paths.path import POINTS_MAX, Path, along_m, no_length, require_points
 
 # Sizes near those of the recorded runs, which fit the authors' pool.
 LINE_LENGTH_M = 0.45
@@ -204,7 +204,7 @@ def from_waypoints(
     if len(knots) < 2:
         raise no_length(name, len(given))
     dense = _spline(knots) if smooth and len(knots) > 2 else knots
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dense, axis=0).T))])
+    along = along_m(dense)
     target = np.linspace(0.0, along[-1], count)
 
     def at(places_m: Float64) -> Float64:

@@ -39,44 +39,27 @@ _SHADES = 12
 
 @dataclass(frozen=True)
 class Swim:
-    """A swim to simulate and show.
+    """A swim to simulate and show."""
 
-    Attributes:
-        rods: of the robot, with the profile of its limbs.
-        pulses: (time_s, limb mask) of every group of limbs that fires, in order of time.
-        duration_s: duration of the swim.
-        velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
-        title: one line.
-        track: (k,) s and (k, 3) m, m, rad of the recorded body poses of a run; None: as simulated.
-        path_m: (p, 2) the desired path, or None.
-    """
-
-    rods: Rods
-    pulses: tuple[tuple[float, int], ...]
+    rods: Rods  # of the robot, with the profile of its limbs
+    pulses: tuple[tuple[float, int], ...]  # (time_s, limb mask) of every group that fires, in order of time
     duration_s: float
-    velocity_body: tuple[float, float, float]
-    title: str
+    velocity_body: tuple[float, float, float]  # forward, left (m/s), turn rate (rad/s) at the start
+    title: str  # one line
+    # (k,) s and (k, 3) m, m, rad of the recorded body poses of a run; None: as simulated
     track: tuple[Float64, Float64] | None = None
-    path_m: Float32 | None = None
+    path_m: Float32 | None = None  # (p, 2) the desired path
 
 
 @dataclass(frozen=True)
 class Film:
-    """A swim at the times of its pictures.
+    """A swim at the times of its pictures."""
 
-    Attributes:
-        time_s: (k,).
-        nodes_m: (k, n, 2) as Batch.nodes_world.
-        pose_world: (k, 3) x, y (m), heading (rad).
-        heated: (k,) mask of the limbs whose pulse is on.
-        speed: simulated seconds for each second shown; 1 is real time.
-    """
-
-    time_s: Float64
-    nodes_m: Float64
-    pose_world: Float64
-    heated: Int64
-    speed: float
+    time_s: Float64  # (k,)
+    nodes_m: Float64  # (k, n, 2) as Batch.nodes_world
+    pose_world: Float64  # (k, 3) x, y (m), heading (rad)
+    heated: Int64  # (k,) mask of the limbs whose pulse is on
+    speed: float  # simulated seconds for each second shown; 1 is real time
 
 
 def gait_swim(robot: Robot, egain_percent: float, frequency_hz: float, phase: float, cycles: int) -> Swim:
@@ -165,33 +148,16 @@ def require_animation_name(target: Path) -> None:
     """Refuse a file name that cannot be written, before anything is simulated.
 
     Raises:
-        InputError: a name that ends in none of ``ANIMATIONS``, or .mp4 without OpenCV.
+        InputError: a name that ends in none of ``ANIMATIONS``.
     """
-    kind = target.suffix.lower()
-    if kind not in ANIMATIONS:
+    if target.suffix.lower() not in ANIMATIONS:
         raise InputError(f"animation {str(target)!r} does not end in {' or '.join(ANIMATIONS)}: choose one")
-    if kind == ".mp4":
-        _opencv()
-
-
-def _opencv() -> Any:
-    try:
-        return importlib.import_module("cv2")
-    except ImportError as error:
-        raise InputError(
-            "an .mp4 animation needs OpenCV, which is not installed: pip install opencv-python-headless, "
-            "or name a .gif"
-        ) from error
 
 
 def write_animation(
     swim: Swim, target: Path, progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> dict[str, float | int]:
-    """Simulate a swim and write it as a GIF or an MP4, by its name.
-
-    Args:
-        swim: what to show.
-        target: the file; written wholly or not at all.
+    """Simulate a swim and write it as a GIF or an MP4, by its name, wholly or not at all.
 
     Returns:
         ``pictures``, ``rate_hz``, ``speed`` (swum seconds for a shown one), ``bytes``.
@@ -255,18 +221,15 @@ def _pictures(swim: Swim, shot: Film, progress: Callable[[int, int], None]) -> I
     body = Line2D([], [], color="black", linewidth=2.0)
     nose = Line2D([], [], color="black", linewidth=1.2)
     limbs = [Line2D([], [], linewidth=2.2, solid_capstyle="round") for _ in robot.limbs]
+    lines = [axes.add_line(line) for line in (trail, body, nose, *limbs)]
     clock = axes.text(0.01, 0.98, "", transform=axes.transAxes, va="top", family="monospace")
-    artists = [trail, body, nose, *limbs, clock]
-    for line in (trail, body, nose, *limbs):
-        axes.add_line(line)
     nose_cm = 50.0 * float(np.ptp(mesh.rest_m[: mesh.frame_nodes, 0]))
     for k, now_s in enumerate(shot.time_s):
         nodes_cm = 100.0 * shot.nodes_m[k]
         x, y, heading = shot.pose_world[k]
         trail.set_data(*(100.0 * shot.pose_world[: k + 1, :2].T))
         body.set_data(*nodes_cm[ring].T)
-        centre = np.array([100.0 * x, 100.0 * y])
-        forward = np.array([math.cos(heading), math.sin(heading)])
+        centre, forward = np.array([100.0 * x, 100.0 * y]), np.array([math.cos(heading), math.sin(heading)])
         nose.set_data(*np.array([centre, centre + 0.5 * nose_cm * forward]).T)
         first = mesh.frame_nodes
         for index, (limb, line) in enumerate(zip(robot.limbs, limbs, strict=True)):
@@ -275,7 +238,7 @@ def _pictures(swim: Swim, shot: Film, progress: Callable[[int, int], None]) -> I
             first += limb.segments
         clock.set_text(f"{now_s:6.2f} s")
         canvas.restore_region(still)
-        for artist in artists:
+        for artist in (*lines, clock):
             axes.draw_artist(artist)
         yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
         progress(k + 1, len(shot.time_s))
@@ -300,7 +263,7 @@ def _write_gif(target: Path, pictures: Iterator[UInt8]) -> None:
 
 
 def _write_mp4(target: Path, pictures: Iterator[UInt8]) -> None:
-    cv2 = _opencv()
+    cv2: Any = importlib.import_module("cv2")
     writer = None
     try:
         for picture in pictures:

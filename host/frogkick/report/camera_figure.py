@@ -15,11 +15,7 @@ from frogkick.report import style
 def write_error_map(pool_m: tuple[float, float], places: Float64, title: str, target: Path) -> None:
     """Draw an arrow at each place, long enough to be visible; colour and key give its length in mm.
 
-    Args:
-        pool_m: length, width.
-        places: (n, 4) x_m, y_m in the pool's frame, error_x_mm, error_y_mm; NaN errors: not found.
-        title: one line.
-        target: picture to write.
+    ``places`` are (n, 4) x_m, y_m in the pool's frame, error_x_mm, error_y_mm; NaN errors: not found.
     """
     found = places[np.isfinite(places[:, 2])]
     lost = places[~np.isfinite(places[:, 2])]
@@ -61,9 +57,6 @@ def write_tag_page(
     Args:
         cells: (n, n), 0 black, 1 white, row 0 the picture's top.
         margin: cells outside of the square whose side is the tag's size.
-        size_m: that side.
-        name: of the tag.
-        target: picture to write.
 
     Raises:
         InputError: a size that fits no page; see also ``style.write_picture``.

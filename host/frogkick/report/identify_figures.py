@@ -194,9 +194,7 @@ def limb_panel(
 ) -> None:
     """Draw the residual of each limb's strokes along one of AXES; bars are two standard errors.
 
-    Args:
-        rows: shift, colour, label, and the results of ``by_limb``.
-        title: to which the axis's name is appended.
+    ``rows`` are shift, colour, label, and the results of ``by_limb``.
     """
     what, unit, scale = AXES[axis]
     places = np.arange(len(robot.limbs))

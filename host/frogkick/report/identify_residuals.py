@@ -1,4 +1,4 @@
-"""Residuals of one-period predictions on the test runs of an identification, in columns, and their views."""
+"""Residuals of one-period predictions on the runs of an identification, in columns, and their views."""
 
 from __future__ import annotations
 
@@ -8,32 +8,29 @@ import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
 from frogkick.core.poses import body_from_world, wrap_angle
-from frogkick.identification.fit import Fitted
 from frogkick.identification.outcome import Outcome
+from frogkick.identification.segments import Segments
 from frogkick.identification.steps import whitener
 from frogkick.identification.verdict import prediction_errors
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Rows are the periods of all test runs whose end was measured and predicted by both models.
+    """Rows are the periods of runs whose end was measured and predicted by both models.
 
-    Attributes:
-        run: (n,) index of the test run.
-        period: (n,) index of the period in its run.
-        time_s: (n,) start of the period, from the start of its run's first period.
-        action: (n,) index of the action; -1: unknown.
-        limbs: (n, limbs) strokes of each limb in the period.
-        pose: (n, 3) pose at its start, world frame, m and rad.
-        measured, nominal, found: (n, 3) pose at its end: from fixes, and predicted without and with effects.
+    Poses are in the world frame, m and rad.
     """
 
-    run: Int64
-    period: Int64
-    time_s: Float64
-    action: Int64
-    limbs: Int64
-    pose: Float64
+    run: Int64  # (n,) index of the run
+    period: Int64  # (n,) index of the period in its run
+    time_s: Float64  # (n,) start of the period, from the start of its run's first period
+    at_s: Float64  # (n,) middle of the period, on the run's clock
+    action: Int64  # (n,) index of the action; -1: unknown
+    limbs: Int64  # (n, limbs) strokes of each limb in the period
+    pose: Float64  # (n, 3) pose at its start
+    middle: Float64  # (n, 3) pose at its middle, by the fixes
+    velocity: Float64  # (n, 3) forward, left (m/s), turn rate (rad/s) there, body frame, by the fixes
+    # (n, 3) pose at its end: from fixes, and predicted without and with effects
     measured: Float64
     nominal: Float64
     found: Float64
@@ -47,6 +44,23 @@ class Residuals:
     def residual_body(self, which: str) -> Float64:
         """(n, 3) the same as forward, left (m) and heading (rad), by the heading at the start."""
         return body_from_world(self.pose[:, 2], self.residual_world(which))
+
+    @property
+    def explained(self) -> Float64:
+        """(n, 3) change of the nominal model's residuals by the effects, body frame."""
+        return self.residual_body("nominal") - self.residual_body("found")
+
+
+def all_residuals(outcome: Outcome) -> Residuals:
+    """Return the residuals of an outcome on its training runs and its test runs; ``run`` counts in each."""
+    parts = [residuals_of(outcome, train) for train in (True, False)]
+    names = Residuals.__dataclass_fields__
+    return Residuals(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def pose_at(swim: Segments, at_s: Float64) -> Float64:
+    """(n, 3) poses of a run at (n,) times, between its fixes."""
+    return np.column_stack([np.interp(at_s, swim.time_s, column) for column in swim.pose.T])
 
 
 def residuals_of(outcome: Outcome, train: bool = False) -> Residuals:
@@ -72,14 +86,23 @@ def residuals_of(outcome: Outcome, train: bool = False) -> Residuals:
         for time_s, limb in swim.strokes:
             counts[(swim.start_s <= time_s + 1e-6) & (time_s < swim.end_s - 1e-6), limb] += 1
         limbs.append(counts)
+    start, end = (joined([getattr(swim, name) for swim in swims]) for name in ("start_s", "end_s"))
+    middle, early, late = (
+        joined([pose_at(swim, first * swim.start_s + (1.0 - first) * swim.end_s) for swim in swims])
+        for first in (0.5, 0.75, 0.25)
+    )
+    rate = (late - early) / (0.5 * (end - start))[:, None]
     return Residuals(
         run=np.concatenate([np.full(len(kept), k) for k, kept in enumerate(rows)]),
         period=np.concatenate(rows),
         time_s=joined([swim.start_s - swim.start_s[0] for swim in swims]),
+        at_s=0.5 * (start + end),
         action=np.concatenate([swim.action[kept] for swim, kept in zip(swims, rows, strict=True)]),
         limbs=np.concatenate([counts[kept] for counts, kept in zip(limbs, rows, strict=True)]),
         # Of the nominal model, because an effect may move the centre of mass away from the tag.
         pose=joined([rollout.start[:, :3] for rollout in nominal]),
+        middle=middle,
+        velocity=body_from_world(middle[:, 2], rate),
         measured=joined([swim.measured for swim in swims]),
         nominal=joined([rollout.predicted for rollout in nominal]),
         found=joined([rollout.predicted for rollout in fitted]),
@@ -122,16 +145,12 @@ def explained_shares(outcome: Outcome) -> list[tuple[str, float]]:
         return []
     nominal, fitted = found.nominal, found.fitted
     change = fitted.residuals - nominal.residuals
-    best: dict[str, float] = {}
-    for column in found.sensitivities:
-        share = _share(fitted, change, column.jacobian)
-        best[column.term.title] = max(share, best.get(column.term.title, 0.0))
-    return sorted(best.items(), key=lambda row: -row[1])
-
-
-def _share(fitted: Fitted, change: Float64, jacobian: Float64) -> float:
     white = whitener(fitted.residuals)
     flat = (change @ white).ravel()
-    columns = np.einsum("nip,ij->njp", jacobian, white).reshape(flat.size, -1)
-    left = flat - columns @ np.linalg.lstsq(columns, flat, rcond=1e-9)[0]
-    return float(1.0 - (left @ left) / max(flat @ flat, 1e-30))
+    best: dict[str, float] = {}
+    for column in found.sensitivities:
+        by = np.einsum("nip,ij->njp", column.jacobian, white).reshape(flat.size, -1)
+        left = flat - by @ np.linalg.lstsq(by, flat, rcond=1e-9)[0]
+        share = float(1.0 - (left @ left) / max(flat @ flat, 1e-30))
+        best[column.term.title] = max(share, best.get(column.term.title, 0.0))
+    return sorted(best.items(), key=lambda row: -row[1])

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from frogkick.core.arrays import Float64, Int64
-from frogkick.core.poses import body_from_world, world_from_body, wrap_angle
+from frogkick.core.arrays import Float64
+from frogkick.core.poses import world_from_body, wrap_angle
 from frogkick.effects import Body, History, Law, Stroke
 from frogkick.effects.law import CHANNELS
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.segments import Segments
 from frogkick.report import style
 from frogkick.report.identify_figures import AXES, limb_panel
-from frogkick.report.identify_residuals import Residuals, by_limb, residuals_of
+from frogkick.report.identify_residuals import Residuals, by_limb, pose_at
 
 CELLS, FINE = 15, 60
 """Arrows and cells of a field along the pool's longer side."""
@@ -38,28 +36,13 @@ _LABELS = {
 _UNITS = {key: unit for units in CHANNELS.values() for key, unit in units.items()}
 
 
-@dataclass(frozen=True, eq=False)
-class Periods:
-    """All periods of the training and test runs.
+def _seen(periods: Residuals, which: str, pool: bool) -> Float64:
+    """(n, 3) residuals of the nominal model ("raw"), or what the effects explain of them ("explained").
 
-    Attributes:
-        at_s: (n,) time of each period's middle in its run.
-        pose, velocity: (n, 3) of the robot at that time, from its fixes; velocity in the body frame.
-        limbs: (n, l) strokes of each limb.
-        raw, explained: (n, 3) residuals of the nominal model, and their change by the effects; body frame.
+    They are along the pool's axes (by the heading amid the period) or the body's, and of the heading.
     """
-
-    at_s: Float64
-    pose: Float64
-    velocity: Float64
-    limbs: Int64
-    raw: Float64
-    explained: Float64
-
-    def seen(self, which: str, pool: bool) -> Float64:
-        """(n, 3) residuals along the pool's axes or the body's, and of the heading."""
-        residuals: Float64 = getattr(self, which)
-        return world_from_body(self.pose[:, 2], residuals) if pool else residuals
+    residuals = periods.residual_body("nominal") if which == "raw" else periods.explained
+    return world_from_body(periods.middle[:, 2], residuals) if pool else residuals
 
 
 DEPENDS: Mapping[str, tuple[str, str]] = {
@@ -84,36 +67,7 @@ def depends_on(law: Law) -> str:
     return "limbs" if law.on == "stroke" else "heading"
 
 
-def periods_of(outcome: Outcome) -> Periods:
-    """Return all periods of an outcome's runs."""
-    parts = [
-        _periods(swims, residuals_of(outcome, train))
-        for swims, train in ((outcome.train, True), (outcome.test, False))
-    ]
-    names = Periods.__dataclass_fields__
-    return Periods(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
-
-
-def _periods(swims: Sequence[Segments], found: Residuals) -> Periods:
-    start, end = (
-        np.array([getattr(swims[run], name)[k] for run, k in zip(found.run, found.period, strict=True)])
-        for name in ("start_s", "end_s")
-    )
-    poses = [
-        np.array([_pose(swims[run], at) for run, at in zip(found.run, times, strict=True)]).reshape(-1, 3)
-        for times in (0.5 * (start + end), 0.75 * start + 0.25 * end, 0.25 * start + 0.75 * end)
-    ]
-    pose, rate = poses[0], (poses[2] - poses[1]) / (0.5 * (end - start))[:, None]
-    velocity = body_from_world(pose[:, 2], rate)
-    raw = found.residual_body("nominal")
-    return Periods(0.5 * (start + end), pose, velocity, found.limbs, raw, raw - found.residual_body("found"))
-
-
-def _pose(swim: Segments, at_s: float) -> list[float]:
-    return [float(np.interp(at_s, swim.time_s, swim.pose[:, axis])) for axis in range(3)]
-
-
-def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
+def law_figure(outcome: Outcome, law: Law, periods: Residuals) -> Figure:
     """Draw a law, and beside it the residuals with the part that the identified effects explain."""
     law.check(outcome.robot)
     place = depends_on(law) == "place"
@@ -126,7 +80,7 @@ def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
             left, *rest = figure.subplots(1, 3)
             _bars(left, law, outcome)
             of_limbs = [
-                (shift, colour, legend, *by_limb(getattr(periods, which), periods.limbs))
+                (shift, colour, legend, *by_limb(_seen(periods, which, False), periods.limbs))
                 for (which, colour, _, legend), shift in zip(BOTH, (-0.12, 0.12), strict=True)
             ]
             for axes, axis in zip(rest, _telling(periods, False), strict=True):
@@ -142,19 +96,19 @@ def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
     return figure
 
 
-def _telling(periods: Periods, pool: bool) -> list[int]:
+def _telling(periods: Residuals, pool: bool) -> list[int]:
     """The two axes of the residuals of which the identified effects explain the largest share."""
-    raw, explained = ((periods.seen(which, pool) ** 2).sum(axis=0) for which in ("raw", "explained"))
+    raw, explained = ((_seen(periods, which, pool) ** 2).sum(axis=0) for which in ("raw", "explained"))
     share = explained / np.maximum(raw, 1e-30)
     return sorted(np.argsort(-share)[:2].tolist())
 
 
-def _area(periods: Periods) -> tuple[Float64, Float64]:
-    places = periods.pose[:, :2]
+def _area(periods: Residuals) -> tuple[Float64, Float64]:
+    places = periods.middle[:, :2]
     return places.min(axis=0) - BESIDE_M, places.max(axis=0) + BESIDE_M
 
 
-def _field(figure: Figure, axes: Axes, law: Law, periods: Periods) -> None:
+def _field(figure: Figure, axes: Axes, law: Law, periods: Residuals) -> None:
     """Arrows of a force, a flow or an offset over the pool; colours of resistance or of strokes."""
     moves = bool(law.names & {"forward_mps", "left_mps", "turn_radps"})
     coloured = moves or law.on == "stroke" or not {"x_n", "x_mps", "x_m"} & set(law.formulas)
@@ -180,29 +134,29 @@ def _field(figure: Figure, axes: Axes, law: Law, periods: Periods) -> None:
         look = {**style.TO_SCALE, "scale": largest / step_cm, "color": style.PREDICTED, "width": 0.004}
         arrows = axes.quiver(100.0 * x, 100.0 * y, along, aside, **look)
         axes.quiverkey(arrows, 0.84, 1.04, largest, f"{largest:.3g} {unit}", labelpos="E")
-    axes.plot(*(100.0 * periods.pose[:, :2].T), ".", color=style.DESIRED, markersize=2)
+    axes.plot(*(100.0 * periods.middle[:, :2].T), ".", color=style.DESIRED, markersize=2)
     style.pool_axes(axes)
     axes.set_title("The law over the pool; dots: where the runs were")
 
 
-def _arrows(axes: Axes, periods: Periods) -> None:
+def _arrows(axes: Axes, periods: Residuals) -> None:
     """Residuals in the pool as arrows, raw and explained, at one scale."""
     reach = 100.0 * float(max(*(_area(periods)[1] - _area(periods)[0])))
-    sizes = 100.0 * np.hypot(*periods.seen("raw", True)[:, :2].T)
+    sizes = 100.0 * np.hypot(*_seen(periods, "raw", True)[:, :2].T)
     factor = style.round_factor(0.12 * reach / max(float(np.percentile(sizes, 90)), 1e-9))
     for (which, colour, _, label), width, above in zip(BOTH, (0.004, 0.002), (2, 3), strict=True):
         look = style.look(color=colour, width=width, zorder=above, label=label)
-        arrows = 100.0 * factor * periods.seen(which, True)[:, :2].T
-        axes.quiver(*(100.0 * periods.pose[:, :2].T), *arrows, **style.TO_SCALE, **look)
+        arrows = 100.0 * factor * _seen(periods, which, True)[:, :2].T
+        axes.quiver(*(100.0 * periods.middle[:, :2].T), *arrows, **style.TO_SCALE, **look)
     style.pool_axes(axes)
     axes.set_title(f"Residuals a period ahead, magnified {factor:g} times")
 
 
-def _along(law: Law, periods: Periods) -> tuple[str, Float64]:
+def _along(law: Law, periods: Residuals) -> tuple[str, Float64]:
     """The variable that a law's curve is drawn over, and its values in the periods."""
     main = depends_on(law)
     if main == "heading":
-        return "heading_rad", np.asarray(wrap_angle(periods.pose[:, 2]))
+        return "heading_rad", np.asarray(wrap_angle(periods.middle[:, 2]))
     if main == "speed":
         for axis, name in enumerate(("forward_mps", "left_mps", "turn_radps")):
             if name in law.names:
@@ -244,13 +198,13 @@ def _curve(axes: Axes, law: Law, name: str, values: Float64) -> None:
         axes.legend(loc="upper right", ncols=2)
 
 
-def _dots(axes: Axes, periods: Periods, axis: int, name: str, values: Float64, pool: bool) -> None:
+def _dots(axes: Axes, periods: Residuals, axis: int, name: str, values: Float64, pool: bool) -> None:
     """Residuals of each period over the law's variable."""
     factor, label = _VARIABLES["time_s" if name == "strokes" else name]
     what, unit, scale = AXES[axis]
     what = ("along x", "along y", what)[axis] if pool else what
     for which, colour, marker, legend in BOTH:
-        residuals = scale * periods.seen(which, pool)[:, axis]
+        residuals = scale * _seen(periods, which, pool)[:, axis]
         axes.plot(factor * values, residuals, marker, color=colour, markersize=3.5, label=legend)
     axes.axhline(0.0, color=style.DESIRED, linewidth=0.8)
     axes.set(xlabel=label, ylabel=f"residual of a period ({unit})", title=f"Residuals: {what}")
@@ -262,7 +216,7 @@ def _bars(axes: Axes, law: Law, outcome: Outcome) -> None:
     rng, names = np.random.default_rng(0), list(gains)
     for swim in (*outcome.train, *outcome.test):
         for k, (time_s, limb) in enumerate(swim.strokes):
-            x, y, heading = _pose(swim, time_s)
+            x, y, heading = pose_at(swim, np.array([time_s]))[0].tolist()
             stroke = Stroke(names[limb], limb, time_s, body=Body(time_s, (x, y, heading), (0.0, 0.0, 0.0)))
             given = law.stroke(stroke, History(list(swim.strokes[:k])), rng) or stroke
             gains[names[limb]].append(given.gain)

@@ -12,7 +12,8 @@ from frogkick.core.errors import InputError
 from frogkick.effects import Law
 from frogkick.effects.law import CHANNELS
 from frogkick.identification.outcome import Outcome
-from frogkick.report.law_figures import DEPENDS, Periods, depends_on, law_figure, periods_of
+from frogkick.report.identify_residuals import Residuals, all_residuals
+from frogkick.report.law_figures import DEPENDS, depends_on, law_figure
 from frogkick.report.page import Section
 
 ACTS = 0.1
@@ -137,12 +138,12 @@ def figure_of_law(outcome: Outcome, law: int) -> Figure:
     laws = laws_of(outcome)
     if not 0 <= law < len(laws):
         raise InputError(f"law {law}: {len(laws)} were found, counted from 0")
-    return law_figure(outcome, laws[law][1], periods_of(outcome))
+    return law_figure(outcome, laws[law][1], all_residuals(outcome))
 
 
 def law_section(outcome: Outcome) -> Section:
     """Return the section; there must be a law."""
-    periods = periods_of(outcome)
+    periods = all_residuals(outcome)
     text, images = [], []
     for title, law in laws_of(outcome):
         formulas = "; ".join(formula_of(law))
@@ -164,9 +165,9 @@ def law_section(outcome: Outcome) -> Section:
     return Section("Laws: effects that are formulas", text, images=images)
 
 
-def _contained(law: Law, periods: Periods) -> str:
+def _contained(law: Law, periods: Residuals) -> str:
     """Return how much these runs contain of what shows a law, if that can be counted."""
-    x, y, heading = periods.pose.T
+    x, y, heading = periods.middle.T
     forward, left, turn = periods.velocity.T
     own = {p.name for p in law.parameters}
     if "cycle" in own:

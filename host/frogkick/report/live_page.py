@@ -14,10 +14,7 @@ ASKS = "X-Frogkick"
 
 
 def page(stops: bool = False) -> str:
-    """Return the page: one self-contained HTML file that reads ``state.json`` ten times a second.
-
-    With ``stops`` the page has a button that ends the run.
-    """
+    """Return the page, which reads ``state.json`` ten times a second; ``stops``: a button ends the run."""
     colours = {
         name.lower(): getattr(style, name)
         for name in ("DESIRED", "TRUE", "MEASURED", "ESTIMATED", "PREDICTED", "NOMINAL", "ALARM")
@@ -46,24 +43,14 @@ def served(
 
     class Handler(QuietHandler):
         def do_GET(self) -> None:
-            more: dict[str, str] = {}
             if self.path == "/":
-                content, kind = text, "text/html; charset=utf-8"
+                self.answer("text/html; charset=utf-8", text)
             elif self.path == "/state.json":
-                content, kind = state().encode(), "application/json"
+                self.answer("application/json", state().encode())
             elif self.path == "/picture.jpg" and picture is not None and (made := picture()) is not None:
-                (content, more), kind = made, "image/jpeg"
+                self.answer("image/jpeg", *made)
             else:
                 self.send_error(404)
-                return
-            self.send_response(200)
-            for name, value in more.items():
-                self.send_header(name, value)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(content)))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            self.wfile.write(content)
 
         def do_POST(self) -> None:
             if self.path != "/stop" or stop is None or self.headers.get(ASKS) != "stop":

@@ -33,38 +33,23 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A headed part of a page.
-
-    Attributes:
-        title: heading.
-        text: paragraphs.
-        table: a table or None.
-        images: (figure or PNG, caption) of each picture.
-        links: (file beside the page, its description) of each link.
-    """
+    """A headed part of a page."""
 
     title: str
-    text: Sequence[str] = ()
+    text: Sequence[str] = ()  # paragraphs
     table: Table | None = None
-    images: Sequence[tuple[Figure | bytes, str]] = ()
-    links: Sequence[tuple[str, str]] = ()
+    images: Sequence[tuple[Figure | bytes, str]] = ()  # (figure or PNG, caption) of each picture
+    links: Sequence[tuple[str, str]] = ()  # (file beside the page, its description) of each link
 
 
 def write_page(target: Path, title: str, lead: str, sections: Sequence[Section]) -> None:
-    """Write one HTML file that needs no other file.
-
-    Args:
-        target: the file.
-        title: title of the page.
-        lead: the first paragraph, which summarises the page.
-        sections: sections in order.
+    """Write one HTML file that needs no other file; ``lead``: the first paragraph, which summarises it.
 
     Raises:
         InputError: the file cannot be written.
     """
-    write_text(
-        target, rendered("page.html.jinja", title=title, lead=lead, sections=sections, uri_of=figure_uri)
-    )
+    page = rendered("page.html.jinja", title=title, lead=lead, sections=sections, uri_of=figure_uri)
+    write_text(target, page)
 
 
 def left_out(rows: Sequence[tuple[str, str]], what: str) -> Section:

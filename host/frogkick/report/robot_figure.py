@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
@@ -48,9 +47,7 @@ def robot_figure(robot: Robot) -> Figure:
 def actions_figure(robot: Robot, ends: Float64) -> Figure:
     """Draw each action: the limbs that it heats, and how far it moves and turns the robot.
 
-    Args:
-        robot: whose.
-        ends: (actions, 3) where each leads from rest in a period, body frame before it: m, m, rad.
+    ``ends`` are (actions, 3) where each leads from rest in a period, body frame before it: m, m, rad.
     """
     columns = min(5, len(robot.actions))
     rows = -(-len(robot.actions) // columns)
@@ -89,16 +86,6 @@ def _window(axes: Axes) -> None:
     # x forward is drawn upwards, so left is left: the robot as seen from above, swimming up the page.
     axes.set(xlim=(middle_x + half, middle_x - half), ylim=(middle_y - half, middle_y + half))
     axes.set_aspect("equal", adjustable="box")
-
-
-def write_robot_figure(robot: Robot, target: Path) -> None:
-    """Draw a robot into a picture file.
-
-    Raises:
-        InputError: see ``style.write_picture``.
-    """
-    style.require_picture_name(target)
-    style.write_picture(robot_figure(robot), target)
 
 
 def _mesh_origin(robot: Robot, mesh: Mesh) -> Float64:
@@ -186,12 +173,7 @@ def _legend(robot: Robot) -> list[Line2D]:
 
 
 def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Figure:
-    """Draw each measured stroke and the curve that was fitted to it.
-
-    Args:
-        strokes: the measured strokes.
-        profiles: the profile fitted to each.
-    """
+    """Draw each measured stroke and the profile that was fitted to it."""
     with style.new_figure(8.0, 1.0 + 2.4 * len(strokes)) as figure:
         rows = figure.subplots(len(strokes), 1, squeeze=False, sharex=True)[:, 0]
         for axes, stroke, profile in zip(rows, strokes, profiles, strict=True):

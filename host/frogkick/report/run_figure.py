@@ -23,10 +23,6 @@ from frogkick.tables.layout import LOST_MAX
 def run_figure(run: RunLog, title: str) -> Figure:
     """Draw a run by its true poses if it is simulated, else by its fixes. Panels without data are left out.
 
-    Args:
-        run: a run with at least two decisions.
-        title: of the picture.
-
     Raises:
         InputError: the run has no fixes, or no decisions.
     """
@@ -125,13 +121,11 @@ def _actions(axes: Axes, run: RunLog, seen: _Seen) -> None:
 def _errors(axes: Axes, time_s: Float64, gap: Float64, colour: str) -> None:
     """Draw errors of poses, (n, 3), over time."""
     position_mm, heading_deg = 1e3 * np.hypot(*gap[:, :2].T), np.rad2deg(np.abs(gap[:, 2]))
+    largest = max(1e-3, float(np.max(position_mm)), float(np.max(heading_deg)))
     look = style.look(color=colour, markersize=3, linewidth=0.8)
     axes.plot(time_s, position_mm, "o-", label="position (mm)", **look)
     axes.plot(time_s, heading_deg, "^:", label="heading (deg)", alpha=0.7, **look)
-    axes.set(
-        ylabel="error (mm, deg)",
-        ylim=(0.0, 1.35 * max(1e-3, float(np.max(position_mm)), float(np.max(heading_deg)))),
-    )
+    axes.set(ylabel="error (mm, deg)", ylim=(0.0, 1.35 * largest))
     axes.legend(loc="upper right", ncols=2)
 
 
@@ -166,11 +160,7 @@ MARKS = ("o", "^")
 
 
 def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figure:
-    """Draw two runs, each from its first decision on.
-
-    Args:
-        runs: runs with decisions and poses.
-        names: name of each run for the legend.
+    """Draw two runs with their names, each from its first decision on.
 
     Raises:
         InputError: a run has no fixes, or no decisions.

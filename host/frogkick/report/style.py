@@ -109,29 +109,15 @@ def legend_below(figure: Figure, axes: Axes, columns: int = 5) -> None:
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
 
 
-def require_picture_name(target: Path) -> None:
-    """Raise an error if a file name does not have the ending of a picture.
-
-    Raises:
-        InputError: not one of ``PICTURES``.
-    """
-    if target.suffix.lower() not in PICTURES:
-        raise InputError(f"picture {str(target)!r} does not end in {' or '.join(PICTURES)}: choose one")
-
-
 def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120) -> None:
-    """Write a figure into a file; the same figure gives the same bytes.
-
-    Args:
-        ending: kind of picture, one of ``PICTURES``; "": the ending of the file's name.
-        dpi: pixels per inch.
+    """Write a figure into a file, by its ending or another one; the same figure gives the same bytes.
 
     Raises:
         InputError: an unknown kind, or a place that cannot be written.
     """
-    if not ending:
-        require_picture_name(target)
-        ending = target.suffix.lower()
+    ending = ending or target.suffix.lower()
+    if ending not in PICTURES:
+        raise InputError(f"picture {str(target)!r} does not end in {' or '.join(PICTURES)}: choose one")
     with styled(), atomic_path(target) as temporary:
         figure.savefig(temporary, format=ending[1:], dpi=dpi, metadata={PICTURES[ending]: None})
 

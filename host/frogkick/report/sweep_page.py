@@ -116,10 +116,6 @@ def _named(design: Design | Gait, phase: float | None = None) -> str:
     return name if phase is None else f"{name}, phase {phase:g}"
 
 
-def _frequencies(sweep: Sweep) -> list[float]:
-    return sorted({design.frequency_hz for design in sweep.plan.designs})
-
-
 def _fractions(sweep: Sweep) -> list[float]:
     return sorted({design.egain_percent for design in sweep.plan.designs})
 
@@ -140,7 +136,8 @@ def _ticks(places: Sequence[float], most: int = 12) -> tuple[list[int], list[str
 
 
 def _designs(sweep: Sweep, verdicts: Sequence[Verdict]) -> Figure:
-    frequencies, fractions = _frequencies(sweep), _fractions(sweep)
+    frequencies = sorted({design.frequency_hz for design in sweep.plan.designs})
+    fractions = _fractions(sweep)
     shape = (len(fractions), len(frequencies))
     speed, cost = np.full(shape, np.nan), np.full(shape, np.nan)
     for point in rank_designs(sweep, by_speed):

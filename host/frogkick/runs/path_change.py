@@ -107,7 +107,7 @@ class Holding:
     def _follow(self, path: Path) -> None:
         """A path that leads on is followed: it ends a hold."""
         self._hold: Hold = hold_at_end(path, self._radius_m)
-        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+        along_m = path.along_m
         # Early enough that it arrives, and late enough that the robot goes on where it is.
         early_m = self._hold.leave_m - (LEAD - 0.5) * self._radius_m
         is_short = self._hold.leave_m > along_m[-1]

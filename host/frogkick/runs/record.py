@@ -389,9 +389,8 @@ def along_paths(
     advance_m = 0.0
     under_way_s = time_s[: max(2, int(np.searchsorted(time_s, until_s)))]
     for path, rows in _followed(paths, under_way_s):
-        arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
-        first, last = path.nearest_index(poses_world[[rows[0], rows[-1]], :2])
-        advance_m = advance_m + (arc_m[last] - arc_m[first])
+        first, last = path.along_m[path.nearest_index(poses_world[[rows[0], rows[-1]], :2])]
+        advance_m = advance_m + (last - first)
     progress_mps = advance_m / (under_way_s[-1] - under_way_s[0])
     return float(distance_m.mean()), float(np.percentile(distance_m, 95)), float(progress_mps)
 

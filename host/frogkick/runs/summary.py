@@ -162,7 +162,7 @@ def bends_of(run: RunLog, progress_mps: float) -> Bends | None:
         if len(seen_s) < 2:
             return None
         headings_rad = np.interp(at_s, seen_s, np.unwrap(poses[:, 2]))
-    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.path.points_m, axis=0).T))])
+    along_m = run.path.along_m
     tangent_rad = np.unwrap(run.path.tangent_rad)
     step_m = progress_mps * run.period_s
     starts_m = np.linspace(0.0, max(0.0, along_m[-1] - step_m), 400)

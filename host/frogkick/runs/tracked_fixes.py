@@ -282,7 +282,7 @@ class CameraFixes(FixBuffer):
                     return
                 with self._lock:
                     self._last_picture_s = self._clock() if frame.live else None
-                seen = self._tracker.observe(frame.image, captured_s)
+                seen = self._tracker.observe(frame.image)
                 self.newest = Sighting(frame.image, captured_s, seen.corners_px)
                 with self._lock:
                     self.reasons[seen.reason] += 1

@@ -25,20 +25,13 @@ FIRST_CYCLE = 5
 
 @dataclass(frozen=True)
 class GaitSwim:
-    """Cycles of a gait from rest, eight by default.
-
-    Attributes:
-        time_s: (n,) ends of the time steps, from 0 to the end of the last cycle.
-        forward_m: (n,) forward position of the mean of all nodes, which the authors exported.
-        speed_mps: mean speed over cycles 5 to 8.
-        cost_of_transport: electrical energy over weight in air and distance; infinite without forward motion.
-    """
+    """Cycles of a gait from rest, eight by default."""
 
     gait: Gait
-    time_s: Float64
-    forward_m: Float64
-    speed_mps: float
-    cost_of_transport: float
+    time_s: Float64  # (n,) ends of the time steps, from 0 to the end of the last cycle
+    forward_m: Float64  # (n,) forward position of the mean of all nodes, which the authors exported
+    speed_mps: float  # mean over cycles 5 to 8
+    cost_of_transport: float  # electrical energy over weight in air and distance; infinite without motion
 
 
 def speed_over_cycles(time_s: Float64, forward_m: Float64, frequency_hz: float) -> float:
@@ -51,8 +44,7 @@ def speed_over_cycles(time_s: Float64, forward_m: Float64, frequency_hz: float) 
 def cost_of_transport(robot: Robot, frequency_hz: float, speed_mps: float) -> float:
     """Return the mean electrical power over weight in air and speed: P / (m g v).
 
-    Each pulse of a limb costs Robot.pulse_energy_j at every frequency and EGaIn fraction; each limb of the
-    gait is pulsed once a cycle.
+    Each limb of the gait is pulsed once a cycle, for Robot.pulse_energy_j each.
     """
     if speed_mps <= 0.0:
         return math.inf
@@ -68,12 +60,8 @@ Swum = list[GaitSwim | str]
 def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], cycles: int = CYCLES) -> Swum:
     """Swim gaits from rest, heading forward, several of them side by side.
 
-    The effects of the robot's file act on its strokes and its body; flows of the water do not act.
-
-    Args:
-        rods: rods of the robot with its effects (frogkick.effects.rods_of); their own stroke is not used.
-        profiles: limb profiles to use or to interpolate between.
-        cycles: number of cycles, at least the eight of the speed.
+    The effects of the robot's file act on its strokes and its body; flows of the water do not act. Strokes
+    are interpolated between the profiles; that of ``rods`` (frogkick.effects.rods_of) is not used.
 
     Returns:
         For each gait its swim, or the reason of its failure: a gait outside the profiles, a phase outside
@@ -132,10 +120,6 @@ def swim_chunks(
 ) -> Iterator[tuple[int, Swum]]:
     """Swim chunks of gaits in several processes; yield (index of the chunk, its results) as they finish.
 
-    A result depends only on robot, profiles and gait.
-
-    Args:
-        chunks: gaits of each chunk.
-        workers, cluster: see ``frogkick.core.chunks.run_chunks``, also for the errors.
+    A result depends only on robot, profiles and gait. Errors: see ``frogkick.core.chunks.run_chunks``.
     """
     return run_chunks(Job(_start, (robot, tuple(profiles)), _swim_chunk, _warm), chunks, workers, cluster)

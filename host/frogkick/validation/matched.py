@@ -84,9 +84,6 @@ def matched_without(
 ) -> Matched:
     """Match the constants to all EGaIn fractions but one, for each fraction, and predict that one.
 
-    Args:
-        validation: validation of the robot with the authors' simulations of at least two fractions.
-
     Raises:
         InputError: fewer than two fractions, or a gait that does not converge.
     """

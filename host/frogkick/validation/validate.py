@@ -103,7 +103,6 @@ class Requirement:
 class Validation:
     """All cases, and those that were left out."""
 
-    folder: Path
     robot: Robot
     profiles: Profiles
     simulations: tuple[SimulationResult, ...]
@@ -208,7 +207,7 @@ def validate(
             time_s = np.linspace(FIRST_CYCLE, CYCLES, samples) / gait.frequency_hz
             waves = _wave(time_s, *reference, steady.speed_mps), model_wave(time_s, swum[gait])
             simulations.append(SimulationResult(case, steady, model_mps, profile, time_s, *waves))
-    return Validation(folder, robot, profiles, tuple(simulations), tuple(experiments), tuple(skipped))
+    return Validation(robot, profiles, tuple(simulations), tuple(experiments), tuple(skipped))
 
 
 def _read(case: Case) -> Track | SteadySpeed:
@@ -288,19 +287,13 @@ class Noise:
       contain the differences between two swims (start of the robot, state of its actuators): it is too low.
 
     The reported floor is the first: the second has one or two pairs, and the third misses most of the noise.
-
-    Attributes:
-        neighbours, within_swim: of each group that allows an estimate.
-        triples: number of second differences of ``neighbours``.
-        repeats: of all gaits that were measured more than once; NaN without any.
-        repeated: number of further swims of these gaits.
     """
 
-    neighbours: dict[str, float]
-    triples: dict[str, int]
-    within_swim: dict[str, float]
-    repeats: float
-    repeated: int
+    neighbours: dict[str, float]  # of each group that allows an estimate
+    triples: dict[str, int]  # number of second differences of ``neighbours``
+    within_swim: dict[str, float]  # of each group that allows an estimate
+    repeats: float  # of all gaits that were measured more than once; NaN without any
+    repeated: int  # number of further swims of these gaits
 
 
 def second_differences(places: Sequence[float], speeds: Sequence[float], cycle: float | None) -> list[float]:

@@ -96,15 +96,11 @@ def read_picture(path: Path | str) -> UInt8:
     return np.asarray(image, dtype=np.uint8)
 
 
-def calibrate_lens(board: Board, pictures: Sequence[tuple[str, UInt8]]) -> tuple[Lens, float, int]:
-    """Calibrate the lens from pictures of a board in many orientations.
-
-    Args:
-        board: the board.
-        pictures: name and grey levels of each, of equal size.
+def calibrate_lens(board: Board, pictures: Sequence[tuple[str, UInt8]]) -> tuple[Lens, float]:
+    """Calibrate the lens from pictures (name, grey levels) of a board in many orientations.
 
     Returns:
-        The lens, the root mean square of the residuals in pixels, and the number of points.
+        The lens, and the root mean square of the residuals in pixels.
     """
     sizes = {image.shape for _, image in pictures}
     if len(sizes) > 1:
@@ -133,4 +129,4 @@ def calibrate_lens(board: Board, pictures: Sequence[tuple[str, UInt8]]) -> tuple
             "--squares right, was the camera's focus fixed?"
         )
     lens = Lens(np.asarray(matrix, dtype=np.float64), np.asarray(distortion, dtype=np.float64).ravel()[:5])
-    return lens, float(rms), sum(len(home) for home in homes)
+    return lens, float(rms)

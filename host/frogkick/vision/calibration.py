@@ -144,12 +144,7 @@ class Calibration:
         return np.asarray(below + (xy_m - below) * (height - to_m) / (height - from_m))
 
     def pixels(self, xy_m: Float64, height_m: float | None = None) -> Float64:
-        """(n, 2) undistorted pixels of points of the pool.
-
-        Args:
-            xy_m: (n, 2) pool frame.
-            height_m: their apparent height; None: the tag's.
-        """
+        """(n, 2) undistorted pixels of (n, 2) points of the pool at an apparent height; None: the tag's."""
         height = self.tag.apparent_height_m if height_m is None else height_m
         return apply(self.homography, self._shift(xy_m, height, self.plane_apparent_m))
 
@@ -201,13 +196,9 @@ def camera_pose(homography: Float64, matrix_px: Float64, plane_m: float) -> tupl
 def lens_from_height(
     homography: Float64, image_px: tuple[int, int], camera_height_m: float, plane_m: float
 ) -> Float64:
-    """The camera matrix with square centred pixels that gives the camera a measured height.
+    """The camera matrix with square centred pixels that gives the camera a measured height over the water.
 
-    Args:
-        homography: reference plane to pixels.
-        image_px: width, height.
-        camera_height_m: over the water.
-        plane_m: apparent height of the reference plane.
+    ``plane_m`` is the apparent height of the reference plane, which the homography takes to pixels.
     """
     width, height = image_px
 

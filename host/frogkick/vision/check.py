@@ -65,7 +65,7 @@ def check_frames(
     places = []
     for image, x, y, heading in frames:
         tracker.forget()
-        seen = tracker.observe(image, 0.0)
+        seen = tracker.observe(image)
         if seen.pose is None:
             places.append(Place(x, y, reason=seen.reason))
             continue

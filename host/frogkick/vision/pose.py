@@ -33,25 +33,19 @@ class Pose:
     # (3, 3) of x_m, y_m, heading_rad, by the picture's noise and the tag's height, without the calibration's
     # error
     covariance: Float64
-    capture_s: float  # capture time on the source's clock
     size_m: float  # estimated size of the tag
     misfit_px: float  # root mean square distance of the corners from those of the flat square
 
 
-def solve_pose(
-    calibration: Calibration, corners_px: Float64, covariance_px2: Float64, capture_s: float
-) -> Pose | None:
+def solve_pose(calibration: Calibration, corners_px: Float64, covariance_px2: Float64) -> Pose | None:
     """The pose with the least weighted residuals of the corners.
 
     Args:
-        calibration: camera, pool and tag.
         corners_px: (4, 2) pixels of the picture in the printed picture's order (``tags``).
         covariance_px2: (8, 8) of these.
-        capture_s: of the pose.
 
     Returns:
-        The pose; None for corners that cannot be those of a tag seen from above (mirrored, folded, beyond the
-        horizon).
+        None for corners that cannot be those of a tag seen from above (mirrored, folded, beyond the horizon).
     """
     tag = calibration.tag
     seen_px = calibration.undistort(corners_px)
@@ -95,7 +89,6 @@ def solve_pose(
         float(state[1] - offset[1]),
         float(wrap_angle(heading)),
         lever @ covariance @ lever.T,
-        capture_s,
         float(state[3]),
         misfit_px,
     )

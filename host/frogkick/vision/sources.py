@@ -40,12 +40,7 @@ class Frame:
 
 
 def device_frames(index: int, image_px: tuple[int, int] | None = None) -> Iterator[Frame]:
-    """Frames of a camera, until the caller stops.
-
-    Args:
-        index: number of the device, 0 for the first.
-        image_px: width and height to ask for.
-    """
+    """Frames of a camera by its number, until the caller stops; it is asked for the size ``image_px``."""
     camera = _opened(index, f"camera {index}")
     try:
         # Only the newest picture counts: an older one waiting in the driver would be late.

@@ -35,22 +35,12 @@ def streamed(picture: Callable[[], UInt8], rate_hz: float, port: int = 0) -> Ite
     class Handler(QuietHandler):
         def do_GET(self) -> None:
             if self.path == PICTURE:
-                content = _jpeg(picture())
-                self._begin("image/jpeg", len(content))
-                self.wfile.write(content)
+                self.answer("image/jpeg", _jpeg(picture()))
             elif self.path == STREAM:
-                self._begin(f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+                self.answer(f"multipart/x-mixed-replace; boundary={_BOUNDARY}", None)
                 self._stream()
             else:
                 self.send_error(404, f"ask for {STREAM} or {PICTURE}")
-
-        def _begin(self, kind: str, size: int | None = None) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", kind)
-            if size is not None:
-                self.send_header("Content-Length", str(size))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
 
         def _stream(self) -> None:
             due_s = time.monotonic()

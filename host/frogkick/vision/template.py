@@ -53,7 +53,6 @@ class Fit:
 
     corners_px: Float64  # (4, 2) in the picture's order, pixels of the frame
     covariance_px2: Float64  # (8, 8) of the corners x0, y0, x1, ...
-    contrast: float  # white minus black, grey levels
     residual: float  # standard deviation of the residuals over the contrast
     worst_cell: float  # largest part of a flip of a printed cell: 0 as printed, 1 wrong
 
@@ -113,13 +112,8 @@ def _blurred_cell(cells: int, row: int, col: int, blur: float) -> Float64:
 def likeliest_turn(image: UInt8, quad_px: Float64, bank: tuple[Template, ...]) -> tuple[int, float]:
     """The orientation of a dark square with the best correlation with the tag.
 
-    Args:
-        image: (height, width) grey levels.
-        quad_px: (4, 2) corners of the square, clockwise in the picture from any corner.
-        bank: the tag's templates.
-
-    Returns:
-        Number of corners to roll them by, and the correlation, -1 to 1.
+    ``quad_px`` are (4, 2) corners of the square, clockwise in the picture from any corner. Returned are the
+    number of corners to roll them by, and the correlation, -1 to 1.
     """
     which = bank[len(bank) // 2]
     size = (which.side, which.side)
@@ -139,15 +133,9 @@ def likeliest_turn(image: UInt8, quad_px: Float64, bank: tuple[Template, ...]) -
 
 
 def fit_template(image: UInt8, corners_px: Float64, bank: tuple[Template, ...]) -> Fit | None:
-    """Fit a tag's picture to a frame.
+    """Fit a tag's picture to a frame; None if the fit diverges or finds no contrast.
 
-    Args:
-        image: (height, width) grey levels.
-        corners_px: (4, 2) in the picture's order, right within a cell.
-        bank: the tag's templates.
-
-    Returns:
-        The fit; None if it diverges or finds no contrast.
+    ``corners_px`` are (4, 2) in the picture's order, right within a cell.
     """
     which = bank[len(bank) // 2]
     home = from_four(which.corners, corners_px)
@@ -199,7 +187,7 @@ def fit_template(image: UInt8, corners_px: Float64, bank: tuple[Template, ...]) 
     shared = max(1.0, (float(np.ptp(which.corners[:, 0])) / max(side_px, 1.0)) ** 2)
     jacobian = _jacobian(home, which.corners)
     covariance = jacobian @ unit @ jacobian.T * (shared * (noise / contrast) ** 2)
-    return Fit(corners, covariance, float(contrast), noise / float(contrast), worst)
+    return Fit(corners, covariance, noise / float(contrast), worst)
 
 
 def _residual(which: Template, values: Float64) -> float:

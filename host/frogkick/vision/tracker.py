@@ -49,7 +49,6 @@ class Observation:
 
     pose: Pose | None  # the robot's; None without a tag to be trusted
     reason: Reason  # ``found``, or why there is no pose
-    capture_s: float  # capture time on the source's clock
     corners_px: Float64 | None = None  # (4, 2) of the tag, in the printed picture's order; None without a tag
     residual: float = float("nan")  # of the fit, over the contrast; NaN without a fit
     windowed: bool = False  # whether the tag was found around its last place
@@ -76,13 +75,8 @@ class Tracker:
         """Search the next frame completely."""
         self._last = None
 
-    def observe(self, image: UInt8, capture_s: float) -> Observation:
-        """Search a frame for the tag.
-
-        Args:
-            image: (height, width) grey or (height, width, 3) BGR, of the calibration's size.
-            capture_s: its capture time.
-        """
+    def observe(self, image: UInt8) -> Observation:
+        """Search a frame, (height, width) grey or (height, width, 3) BGR of the calibration's size."""
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         width, height = self._calibration.image_px
         if grey.shape != (height, width):
@@ -90,22 +84,22 @@ class Tracker:
                 f"the frame is {grey.shape[1]} x {grey.shape[0]} px, the calibration is for {width} x "
                 f"{height}: set the camera to that or calibrate again"
             )
-        seen = self._look(np.ascontiguousarray(grey), capture_s)
+        seen = self._look(np.ascontiguousarray(grey))
         self._last = seen.corners_px if seen.pose is not None else None
         return seen
 
-    def _look(self, grey: UInt8, capture_s: float) -> Observation:
+    def _look(self, grey: UInt8) -> Observation:
+        height, width = grey.shape
         if self._last is not None:
             reach = 1.2 * max(np.ptp(self._last, axis=0))
-            height, width = grey.shape
             low = np.maximum(np.floor(self._last.min(axis=0) - reach), 0).astype(int)
             high = np.minimum(np.ceil(self._last.max(axis=0) + reach), [width, height]).astype(int)
-            near = self._judge(grey, low, high, capture_s)
+            near = self._judge(grey, low, high)
             if near.pose is not None:
                 return replace(near, windowed=True)
-        return self._judge(grey, np.zeros(2, dtype=int), np.array(grey.shape[::-1]), capture_s)
+        return self._judge(grey, np.zeros(2, dtype=int), np.array([width, height]))
 
-    def _judge(self, grey: UInt8, low: Int64, high: Int64, capture_s: float) -> Observation:
+    def _judge(self, grey: UInt8, low: Int64, high: Int64) -> Observation:
         """Search a part of the frame, fit the tag, and check the fit."""
         window = grey[low[1] : high[1], low[0] : high[0]]
         tag = self._calibration.tag
@@ -114,15 +108,15 @@ class Tracker:
         clear = [fit for fit in fits if fit is not None and _as_printed(fit)]
         clear += self._undecoded(grey, [corners + low for corners in squares], clear)
         if len(clear) > 1:
-            return Observation(None, "doubled", capture_s)
+            return Observation(None, "doubled")
         if not clear:
-            return Observation(None, "unclear" if decoded else "no tag", capture_s)
+            return Observation(None, "unclear" if decoded else "no tag")
         fit = clear[0]
 
         def refuse(reason: Reason) -> Observation:
-            return Observation(None, reason, capture_s, fit.corners_px, fit.residual)
+            return Observation(None, reason, fit.corners_px, fit.residual)
 
-        pose = solve_pose(self._calibration, fit.corners_px, fit.covariance_px2, capture_s)
+        pose = solve_pose(self._calibration, fit.corners_px, fit.covariance_px2)
         if pose is None:
             return refuse("not flat")
         if abs(pose.size_m / tag.size_m - 1.0) > SIZE_MAX:
@@ -136,7 +130,7 @@ class Tracker:
         x, y, _ = tag_place(self._calibration, pose.x_m, pose.y_m, pose.heading_rad)
         if not (-MARGIN_M <= x <= length + MARGIN_M and -MARGIN_M <= y <= width + MARGIN_M):
             return refuse("outside the pool")
-        return Observation(pose, "found", capture_s, fit.corners_px, fit.residual)
+        return Observation(pose, "found", fit.corners_px, fit.residual)
 
     def _undecoded(self, grey: UInt8, squares: list[Float64], clear: list[Fit]) -> list[Fit]:
         """Tags among dark squares whose cells are too small or too blurred to be decoded."""
@@ -171,9 +165,7 @@ def find_corners(
     """Find the places where a tag is decoded, and dark squares of its size without a decoded tag.
 
     Args:
-        grey: (height, width).
-        tag_id: number of the tag in its family.
-        side_px: its approximate width.
+        side_px: the tag's approximate width.
         family: of the tag; squares are found for tag36h11 only.
 
     Returns:

@@ -32,32 +32,18 @@ def times_of(log: pathlib.Path) -> pathlib.Path:
 
 
 class Video:
-    """A run's video, written by one thread.
-
-    Attributes:
-        frames: number of pictures written.
-    """
+    """A run's video, written by one thread."""
 
     def __init__(self, log: pathlib.Path, zero_s: float) -> None:
-        """Prepare; the first picture creates the files.
-
-        Args:
-            log: the run's log, for the names.
-            zero_s: the log's time zero on the camera's clock.
-        """
-        self.frames = 0
+        """Prepare; the first picture creates the files. ``zero_s`` is the log's 0 on the camera's clock."""
+        self.frames = 0  # pictures written
         self._log, self._zero_s = log, zero_s
         self._writer: Any = None
         self._times: Any = None
         self._grown_bytes = 0
 
     def write(self, image: UInt8, capture_s: float) -> None:
-        """Add a picture.
-
-        Args:
-            image: (height, width) grey or (height, width, 3) BGR; all of one size.
-            capture_s: capture time on the camera's clock.
-        """
+        """Add a (height, width) grey or (height, width, 3) BGR picture; all are of one size."""
         try:
             if self._writer is None:
                 self._open(image.shape[1], image.shape[0])

@@ -83,27 +83,15 @@ class RunProgress:
 
 
 @contextmanager
-def reports_partial_log(out: Path | None) -> Iterator[None]:
-    """If a run breaks off, print where its log is."""
+def keeps_partial_log(out: Path | None, recording: Recording) -> Iterator[None]:
+    """If a run breaks off, print where its log so far is; that of a simulated run is written only then."""
     try:
         yield
     except BaseException:
-        if out is not None and part_of(out).exists():
-            _report_partial_log(out)
+        if out is not None:
+            is_new = recording.pool is not None and recording.end_s > 0.0
+            if is_new:
+                write_run(part_of(out), replace(recording.log(), notes=CUT_OFF))
+            if is_new or (recording.pool is None and part_of(out).exists()):
+                tell_line(f"frogkick: the recording so far is in {str(part_of(out))!r}")
         raise
-
-
-@contextmanager
-def log_so_far(out: Path | None, recording: Recording) -> Iterator[None]:
-    """If a simulated run breaks off, write its log so far beside ``out``."""
-    try:
-        yield
-    except BaseException:
-        if out is not None and recording.end_s > 0.0:
-            write_run(part_of(out), replace(recording.log(), notes=CUT_OFF))
-            _report_partial_log(out)
-        raise
-
-
-def _report_partial_log(out: Path) -> None:
-    tell_line(f"frogkick: the recording so far is in {str(part_of(out))!r}")

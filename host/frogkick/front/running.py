@@ -48,7 +48,7 @@ from frogkick.front.places import (
     start_pose,
     swim_path,
 )
-from frogkick.front.run_progress import RunProgress, log_so_far, reports_partial_log
+from frogkick.front.run_progress import RunProgress, keeps_partial_log
 from frogkick.front.tables import Table, load_table
 from frogkick.front.viewing import played, viewed
 from frogkick.link.wire import Wire, is_target
@@ -330,8 +330,8 @@ def run(
                 robot, str(fixes), source, begin, fix_rate_hz, true, seed, dialect, battery_v, target, video,
                 operator, wire, None if key is None else Path(key), view, stopped.set,
             )  # fmt: skip
-            stack.enter_context(reports_partial_log(target))
-            run_on_bench(bench, image, recording, said.progress)
+            with keeps_partial_log(target, recording):
+                run_on_bench(bench, image, recording, said.progress)
         else:
             with said.preparing():
                 port = stack.enter_context(
@@ -341,7 +341,7 @@ def run(
             recording.seed = seed
             recording.pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
             draw = stack.enter_context(viewed(view, recording, stop=stopped.set))
-            with log_so_far(target, recording):
+            with keeps_partial_log(target, recording):
                 run_session(Session(port), recording.pool, recording, said.progress, draw)
     found = Run(**vars(recording.log()), checked={} if check is None else check.as_json())
     if target is not None:

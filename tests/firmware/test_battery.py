@@ -16,7 +16,7 @@ from frogkick.pool.chip.pins import Saadc
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot
-from frogkick.robot.model import Battery
+from frogkick.robot.schema import Battery
 from frogkick.runs.session import Session
 from frogkick_codegen.firmware import _build_bench, build
 

@@ -13,7 +13,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
 from frogkick.front.bench import Bench, parse_begin, placed
 from frogkick.paths import shape
-from frogkick.robot.model import Battery
+from frogkick.robot.schema import Battery
 from frogkick.runs.start_checks import check_battery, check_start, look
 
 POOL_M = (1.2, 0.9)

@@ -25,7 +25,7 @@ from frogkick.effects.base import Body, Effect, History, Stroke, parameter
 from frogkick.effects.limbs import GroupEffect
 from frogkick.effects.water import scaled, times_drag, times_mass
 from frogkick.robot import Limb, Robot
-from frogkick.robot.model import Frame
+from frogkick.robot.schema import Frame
 
 _FATIGUE_STROKES = 24  # strokes of a limb that count; the effect of older ones has faded
 

@@ -14,7 +14,7 @@ from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import rotate
 from frogkick.effects.base import Body, Effect, parameter
 from frogkick.robot import Limb, Robot
-from frogkick.robot.model import Frame
+from frogkick.robot.schema import Frame
 
 Part = TypeVar("Part", Frame, Limb)
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from frogkick.core.arrays import Bool, Float64, dot
 from frogkick.core.errors import InputError
-from frogkick.robot.model import Frame, Limb, Robot, limb_points, outline_of
+from frogkick.robot.model import Robot, limb_points, outline_of
+from frogkick.robot.schema import Frame, Limb
 
 SEGMENT_MIN_M = 1e-4  # shorter segments are likely errors of a unit
 TURN_MAX_DEG = 170.0  # discrete curvature grows as tan(turn / 2)

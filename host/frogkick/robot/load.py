@@ -5,29 +5,38 @@ from __future__ import annotations
 import hashlib
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.robot.geometry import require_geometry
-from frogkick.robot.model import Action, Battery, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
+from frogkick.robot.model import Action, Robot
 from frogkick.robot.profile import Profile
 from frogkick.robot.schema import (
     ACTION_NAME_MAX,
     ACTIONS_MAX,
+    Battery,
     BatteryTable,
+    Frame,
     FrameTable,
+    Guard,
     LibraryTable,
+    Limb,
     LimbTable,
+    PlannerDefaults,
     ProfileTable,
     RobotFile,
+    VelocityBox,
+    keys_of,
     table_in,
-)
+)  # fmt: skip
 from frogkick.robot.toml_text import to_toml
+
+_Part = TypeVar("_Part")
 
 PIN_MOST_V = 3.0
 """Largest voltage at an analogue input, with the supply of Nordic's kit."""
@@ -224,6 +233,17 @@ def _mask(names: list[str], limbs: list[str], where: str) -> int:
     return mask
 
 
+def _part(kind: Callable[..., _Part], table: BaseModel) -> _Part:
+    """A part of a robot from its table: lists are tuples, degrees are radians."""
+    values = {}
+    for name, key in keys_of(kind).items():
+        value = getattr(table, key)
+        if name != key:
+            value = math.radians(value) if isinstance(value, float) else [math.radians(v) for v in value]
+        values[name] = tuple(value) if isinstance(value, list) else value
+    return kind(**values)
+
+
 def _frame(table: FrameTable) -> Frame:
     corners = table.corners_m
     n = len(corners)
@@ -238,15 +258,13 @@ def _frame(table: FrameTable) -> Frame:
             f"frame.corners_m encloses {area:.3g} m^2 with a shortest edge of {shortest:.3g} m: "
             "list distinct corners counter-clockwise"
         )
-    return Frame(**{**table.model_dump(), "corners_m": tuple(corners), "segments": tuple(table.segments)})
+    return _part(Frame, table)
 
 
 def _limb(table: LimbTable, corners: int) -> Limb:
     if table.corner >= corners:
         raise InputError(f"limb {table.name!r} sits at corner {table.corner}: the last one is {corners - 1}")
-    values = table.model_dump()
-    values["direction_rad"] = math.radians(values.pop("direction_deg"))
-    return Limb(**values)
+    return _part(Limb, table)
 
 
 def _profile(table: ProfileTable) -> Profile:
@@ -264,8 +282,7 @@ def _box(table: LibraryTable) -> VelocityBox:
     for axis, (low, high) in table.model_dump().items():
         if not low < high:
             raise InputError(f"library.{axis} is [{low}, {high}]: write the lower end first")
-    low, high = table.omega_deg_s
-    return VelocityBox(table.forward_mps, table.left_mps, (math.radians(low), math.radians(high)))
+    return _part(VelocityBox, table)
 
 
 def _battery(table: BatteryTable | None) -> Battery | None:
@@ -288,7 +305,7 @@ def _battery(table: BatteryTable | None) -> Battery | None:
             f"battery.inputs are {table.inputs}, battery.count is {table.count}: give one input "
             "for each battery that is seen"
         )
-    return Battery(**{**table.model_dump(), "inputs": tuple(table.inputs)})
+    return _part(Battery, table)
 
 
 def _distinct(names: list[Any], what: str) -> None:
@@ -324,7 +341,7 @@ def _robot(file: RobotFile, folder: Path | None) -> Robot:
         ),
         profiles=tuple(_profile(p) for p in file.profile),
         library_box=_box(file.library),
-        guard=Guard(**file.guard.model_dump()),
+        guard=_part(Guard, file.guard),
         planner=PlannerDefaults(**file.planner.model_dump()),
         battery=_battery(file.battery),
         effects=tuple(dict(table) for table in file.effect),

@@ -17,64 +17,14 @@ import numpy as np
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
-from frogkick.core.weights import Weights
 from frogkick.robot.profile import Actuation, Profile, actuation
+from frogkick.robot.schema import Battery, Frame, Guard, Limb, PlannerDefaults, VelocityBox
 from frogkick.robot.toml_text import to_toml
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 
 PERIOD_SAME = 0.02
 """Relative difference up to which a period counts as the robot's own."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The stiff body: a closed polygon of rods, corners counter-clockwise in the body frame.
-
-    Its fields are the keys of ``frogkick.robot.schema.FrameTable``; the last one is set by effects only.
-    """
-
-    corners_m: tuple[tuple[float, float], ...]
-    segments: tuple[int, ...]
-    mass_per_length_kg_per_m: float
-    added_mass_per_length_kg_per_m: float  # inertia only
-    stretching_stiffness_n: float
-    bending_stiffness_n_m2: float
-    drag_width_m: float
-    drag_normal: float
-    drag_tangential: float
-    centre_mass_share: float = 0.0
-    centre_mass_at_m: tuple[float, float] = (0.0, 0.0)  # of that share, from the centre of the corners
-
-
-@dataclass(frozen=True)
-class Limb:
-    """An actuated rod, rooted at a corner of the frame. The order of limbs is the bit order of limb masks.
-
-    Its fields are the keys of ``frogkick.robot.schema.LimbTable``; the last two are set by effects only.
-    """
-
-    name: str
-    corner: int
-    clamp: str
-    direction_rad: float  # tangent at its root, body frame, counter-clockwise from forward
-    length_m: float
-    segments: int
-    rest_curvature_per_m: float
-    modulus_rest_pa: float  # at activation 0
-    modulus_active_pa: float  # at activation 1; linear in between
-    second_moment_m4: float  # I, so that EI = modulus * second_moment
-    section_m2: float  # A, so that EA = modulus_rest * section
-    root_stiffness_ratio: float  # bending stiffness at the root over the limb's own at rest
-    mass_per_length_kg_per_m: float
-    added_mass_per_length_kg_per_m: float
-    drag_width_m: float
-    drag_normal: float
-    drag_tangential: float
-    # water that moves with it across but not along it (effect limb_plate)
-    plate_mass_per_length_kg_per_m: float = 0.0
-    # share of its momentum that the tip leaves behind; see frogkick.der.plates
-    tip_shedding: float = 0.0
 
 
 def outline_of(frame: Frame) -> Float64:
@@ -135,50 +85,6 @@ class Action:
 def in_a_row(names: Sequence[str]) -> str:
     """Names of actions in one text: letters side by side, words with spaces between them."""
     return ("" if all(len(name) == 1 for name in names) else " ").join(names)
-
-
-@dataclass(frozen=True)
-class Guard:
-    """Limits of the limbs that the robot enforces itself: keys of ``frogkick.robot.schema.GuardTable``."""
-
-    pulse_max_s: float
-    rest_min_s: float
-    duty_max: float
-    duty_window_s: float
-    limbs_at_once_max: int
-    fix_fresh_s: float = 0.5
-    fix_lost_s: float = 2.0
-
-
-@dataclass(frozen=True)
-class Battery:
-    """The batteries of the limbs: keys of ``frogkick.robot.schema.BatteryTable``. Simulations use none."""
-
-    count: int
-    nominal_v: float
-    low_v: float
-    full_v: float
-    measure: str
-    inputs: tuple[int, ...] = ()
-    divider: float = 1.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlannerDefaults(Weights):
-    """Cost, weights, depth and time of the planner: keys of ``frogkick.robot.schema.PlannerTable``."""
-
-    cost: str
-    depth: int
-    plan_time_s: float
-
-
-@dataclass(frozen=True)
-class VelocityBox:
-    """Body velocities that a library covers: (low, high) per axis."""
-
-    forward_mps: tuple[float, float]
-    left_mps: tuple[float, float]
-    omega_rad_s: tuple[float, float]
 
 
 @dataclass(frozen=True, repr=False)

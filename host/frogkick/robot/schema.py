@@ -1,17 +1,21 @@
-"""The robot file as it is written: each key with its type, its range and its meaning.
+"""The parts of a robot, and its file as it is written: each key with its type, its range and its meaning.
 
-These pydantic models are used only where a file enters. Checks, new robots' files and the documentation
-follow from them.
+The pydantic models of a file's tables are made from the parts and are used only where a file enters. Checks,
+new robots' files and the documentation follow from them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import types
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from inspect import isclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 
 from frogkick.core.weights import WEIGHTS, Weight, Weights
 
@@ -26,7 +30,7 @@ ActionName = Annotated[str, Field(max_length=ACTION_NAME_MAX, pattern=r"^[A-Za-z
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")]
 
 
-def key(about: str, default: Any = ..., **limits: Any) -> Any:
+def key(about: str, default: Any = PydanticUndefined, **limits: Any) -> Any:
     """Declare a key: its meaning with unit, its default if it may be left out, and its limits."""
     return Field(default, description=about, **limits)
 
@@ -39,49 +43,109 @@ class WaterTable(_Table):
     density_kg_per_m3: Positive = key("kg/m^3")
 
 
-class FrameTable(_Table):
-    corners_m: list[Pair] = key(
+@dataclass(frozen=True)
+class Frame:
+    """The stiff body: a closed polygon of rods, corners counter-clockwise in the body frame."""
+
+    corners_m: Annotated[tuple[Pair, ...], key(
         "m, x forward, y left, counter-clockwise; the origin is anywhere", min_length=3, max_length=64
-    )
-    segments: list[Annotated[int, Field(ge=1, le=500)]] = key(
-        "pieces of each edge; edge i runs from corner i to corner i + 1"
-    )
-    mass_per_length_kg_per_m: Positive = key("kg for each m of the outline")
-    added_mass_per_length_kg_per_m: NotNegative = key("kg of water that moves with each m of it")
-    stretching_stiffness_n: Positive = key("N, Young's modulus times section")
-    bending_stiffness_n_m2: Positive = key("N m^2, Young's modulus times second moment of area")
-    drag_width_m: NotNegative = key("m across the flow, the depth of the frame in water")
-    drag_normal: NotNegative = key("drag coefficient across an edge")
-    drag_tangential: NotNegative = key("drag coefficient along it")
-    centre_mass_share: float = key(
-        "share of that mass that sits at the centre of the corners, 0 to 0.95", 0.0, ge=0.0, le=0.95
-    )
+    )]  # fmt: skip
+    segments: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=500)], ...],
+        key("pieces of each edge; edge i runs from corner i to corner i + 1"),
+    ]
+    mass_per_length_kg_per_m: Annotated[Positive, key("kg for each m of the outline")]
+    added_mass_per_length_kg_per_m: Annotated[NotNegative, key("kg of water that moves with each m of it")]
+    stretching_stiffness_n: Annotated[Positive, key("N, Young's modulus times section")]
+    bending_stiffness_n_m2: Annotated[Positive, key("N m^2, Young's modulus times second moment of area")]
+    drag_width_m: Annotated[NotNegative, key("m across the flow, the depth of the frame in water")]
+    drag_normal: Annotated[NotNegative, key("drag coefficient across an edge")]
+    drag_tangential: Annotated[NotNegative, key("drag coefficient along it")]
+    centre_mass_share: Annotated[float, key(
+        "share of that mass that sits at the centre of the corners, 0 to 0.95", ge=0.0, le=0.95
+    )] = 0.0  # fmt: skip
+    centre_mass_at_m: Pair = (0.0, 0.0)  # of that share, from the centre of the corners; set by effects only
 
 
-class LimbTable(_Table):
-    name: Name = key("letters, digits, - or _")
-    corner: int = key("where it begins, counted from 0 in frame.corners_m", ge=0)
-    clamp: Literal["previous", "next"] = key(
+@dataclass(frozen=True)
+class Limb:
+    """An actuated rod, rooted at a corner of the frame. The order of limbs is the bit order of limb masks."""
+
+    name: Annotated[Name, key("letters, digits, - or _")]
+    corner: Annotated[int, key("where it begins, counted from 0 in frame.corners_m", ge=0)]
+    clamp: Annotated[Literal["previous", "next"], key(
         "the edge at that corner that its root bends against: previous or next"
-    )
-    direction_deg: float = key(
+    )]  # fmt: skip
+    direction_rad: Annotated[float, key(
         "degrees from forward, counter-clockwise, of its tangent at the root", ge=-360.0, le=360.0
-    )
-    length_m: Positive = key("m along the limb")
-    segments: int = key("pieces", ge=2, le=500)
-    rest_curvature_per_m: float = key(
-        "1/m at rest, positive where it curls counter-clockwise towards its tip"
-    )
-    modulus_rest_pa: Positive = key("Pa, Young's modulus at rest")
-    modulus_active_pa: Positive = key("Pa, while it is straightest")
-    second_moment_m4: Positive = key("m^4, second moment of area")
-    section_m2: Positive = key("m^2")
-    root_stiffness_ratio: Positive = key("how much stiffer the clamp is than the limb")
-    mass_per_length_kg_per_m: Positive = key("kg for each m")
-    added_mass_per_length_kg_per_m: NotNegative = key("kg of water that moves with each m of it")
-    drag_width_m: NotNegative = key("m across the flow")
-    drag_normal: NotNegative = key("drag coefficient across the limb")
-    drag_tangential: NotNegative = key("drag coefficient along it")
+    )]  # fmt: skip
+    length_m: Annotated[Positive, key("m along the limb")]
+    segments: Annotated[int, key("pieces", ge=2, le=500)]
+    rest_curvature_per_m: Annotated[
+        float, key("1/m at rest, positive where it curls counter-clockwise towards its tip")
+    ]
+    modulus_rest_pa: Annotated[Positive, key("Pa, Young's modulus at rest")]  # at activation 0
+    modulus_active_pa: Annotated[Positive, key("Pa, while it is straightest")]  # at 1; linear in between
+    second_moment_m4: Annotated[Positive, key("m^4, second moment of area")]
+    section_m2: Annotated[Positive, key("m^2")]
+    root_stiffness_ratio: Annotated[Positive, key("how much stiffer the clamp is than the limb")]
+    mass_per_length_kg_per_m: Annotated[Positive, key("kg for each m")]
+    added_mass_per_length_kg_per_m: Annotated[NotNegative, key("kg of water that moves with each m of it")]
+    drag_width_m: Annotated[NotNegative, key("m across the flow")]
+    drag_normal: Annotated[NotNegative, key("drag coefficient across the limb")]
+    drag_tangential: Annotated[NotNegative, key("drag coefficient along it")]
+    # set by effects only: water that moves with it across but not along it, and the share of its momentum
+    # that the tip leaves behind; see frogkick.der.plates
+    plate_mass_per_length_kg_per_m: float = 0.0
+    tip_shedding: float = 0.0
+
+
+@dataclass(frozen=True)
+class VelocityBox:
+    """Body velocities that a library covers: (low, high) per axis."""
+
+    forward_mps: Annotated[
+        Pair, key("m/s, lowest and highest speed at an action's start that tables are made for")
+    ]
+    left_mps: Annotated[Pair, key("m/s, the same to the left")]
+    omega_rad_s: Annotated[Pair, key("degrees/s, the same of the turn rate")]
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Limits of the limbs that the robot enforces itself."""
+
+    pulse_max_s: Annotated[Positive, key("s that no pulse is longer than, whatever is asked")]
+    rest_min_s: Annotated[NotNegative, key("s that a limb rests after a pulse")]
+    duty_max: Annotated[float, key("share of the time that a limb is on, at most", gt=0.0, le=1.0)]
+    duty_window_s: Annotated[Positive, key("s that this share is counted over")]
+    limbs_at_once_max: Annotated[int, key("limbs that are on at a time, at most", ge=1, le=8)]
+    fix_fresh_s: Annotated[Positive, key("s that a position fix is used for decisions")] = 0.5
+    fix_lost_s: Annotated[Positive, key("s without a fix after which a run ends, disarmed")] = 2.0
+
+
+@dataclass(frozen=True)
+class Battery:
+    """The batteries of the limbs. Simulations use none."""
+
+    count: Annotated[int, key("how many", ge=1, le=64)]
+    nominal_v: Annotated[Positive, key("V of each")]
+    low_v: Annotated[Positive, key("V at rest below which nothing is armed")]
+    full_v: Annotated[Positive, key("V at rest when full")]
+    measure: Annotated[str, key("where a person measures it", min_length=1, max_length=100)]
+    inputs: Annotated[tuple[Annotated[int, Field(ge=0, le=7)], ...], key(
+        "AIN0 to AIN7 of the chip, one for each battery that is wired to one", max_length=8
+    )] = ()  # fmt: skip
+    divider: Annotated[float, key("V of the battery for 1 V at the input", ge=1.0, le=100.0)] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerDefaults(Weights):
+    """Cost, weights, depth and time of the planner."""
+
+    cost: str
+    depth: int
+    plan_time_s: float
 
 
 class ActionTable(_Table):
@@ -95,20 +159,24 @@ class GaitTable(_Table):
     lag: list[str] = key("and those that fire a phase later")
 
 
-class LibraryTable(_Table):
-    forward_mps: Pair = key("m/s, lowest and highest speed at an action's start that tables are made for")
-    left_mps: Pair = key("m/s, the same to the left")
-    omega_deg_s: Pair = key("degrees/s, the same of the turn rate")
+@cache
+def keys_of(part: Hashable) -> dict[str, str]:
+    """Key in a file of each field of a part that has one, by the field. Angles are in degrees there."""
+    hints = get_type_hints(part, include_extras=True).items()
+    return {name: name.replace("_rad", "_deg") for name, hint in hints if get_origin(hint) is Annotated}
 
 
-class GuardTable(_Table):
-    pulse_max_s: Positive = key("s that no pulse is longer than, whatever is asked")
-    rest_min_s: NotNegative = key("s that a limb rests after a pulse")
-    duty_max: float = key("share of the time that a limb is on, at most", gt=0.0, le=1.0)
-    duty_window_s: Positive = key("s that this share is counted over")
-    limbs_at_once_max: int = key("limbs that are on at a time, at most", ge=1, le=8)
-    fix_fresh_s: Positive = key("s that a position fix is used for decisions", 0.5)
-    fix_lost_s: Positive = key("s without a fix after which a run ends, disarmed", 2.0)
+def _table_of(part: type, name: str) -> type[_Table]:
+    """The table of a file with the keys of a part; what is a tuple there is a list here."""
+    hints: dict[str, Any] = get_type_hints(part, include_extras=True)
+    fields: dict[str, Any] = {}
+    for field, key_name in keys_of(part).items():
+        kind, default = get_args(hints[field])[0], getattr(part, field, ...)
+        if get_origin(kind) is tuple and get_args(kind)[1:] == (...,):
+            kind, default = types.GenericAlias(list, get_args(kind)[0]), [] if default == () else default
+        fields[key_name] = (Annotated[(kind, *hints[field].__metadata__)], default)
+    table: type[_Table] = create_model(name, __base__=_Table, **fields)
+    return table
 
 
 def _weight(name: str, weight: Weight) -> tuple[type[float], Any]:
@@ -117,8 +185,16 @@ def _weight(name: str, weight: Weight) -> tuple[type[float], Any]:
 
 
 if TYPE_CHECKING:
-    PlannerTable = _Table
+    FrameTable = Any
+    LimbTable = Any
+    LibraryTable = Any
+    GuardTable = Any
+    BatteryTable = Any
+    PlannerTable = Any
 else:
+    FrameTable, LimbTable = _table_of(Frame, "FrameTable"), _table_of(Limb, "LimbTable")
+    LibraryTable, GuardTable = _table_of(VelocityBox, "LibraryTable"), _table_of(Guard, "GuardTable")
+    BatteryTable = _table_of(Battery, "BatteryTable")
     PlannerTable = create_model(
         "PlannerTable",
         __base__=_Table,
@@ -130,18 +206,6 @@ else:
         plan_time_s=(float, key("s that a decision may take on the robot; 0: no limit", 0.0, ge=0.0, le=1.0)),
         depth=(int, key("levels to look ahead, 1 to 4", ge=1, le=4)),
     )
-
-
-class BatteryTable(_Table):
-    count: int = key("how many", ge=1, le=64)
-    nominal_v: Positive = key("V of each")
-    low_v: Positive = key("V at rest below which nothing is armed")
-    full_v: Positive = key("V at rest when full")
-    measure: str = key("where a person measures it", min_length=1, max_length=100)
-    inputs: list[Annotated[int, Field(ge=0, le=7)]] = key(
-        "AIN0 to AIN7 of the chip, one for each battery that is wired to one", [], max_length=8
-    )
-    divider: float = key("V of the battery for 1 V at the input", 1.0, ge=1.0, le=100.0)
 
 
 class ProfileTable(_Table):

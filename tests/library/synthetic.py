@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from frogkick.library import Library
 from frogkick.library.store import library_of
 from frogkick.library.surface import History, limb_use
-from frogkick.library.transitions import HISTORY, RESTED
+from frogkick.library.transitions import HISTORY, RESTED, Transitions
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
@@ -49,4 +49,5 @@ class Known:
         if self.history is not None:
             previous = rng.integers(0, ACTIONS, (states, HISTORY))
         rows = self.rows(velocities, previous)
-        return library_of(ROBOT, "box", seed, velocities, rows, previous)
+        recorded = np.empty((*rows.shape[:2], 0, 6), dtype=np.float32)
+        return library_of(ROBOT, "box", seed, Transitions(velocities, previous, rows, recorded, ()))

@@ -13,7 +13,7 @@ from frogkick.der import prepare
 from frogkick.library import Library, error_on, quantise, sample_library, sampling
 from frogkick.library.sampling import planned_swims
 from frogkick.library.starts import VisitedStates, rigid_starts
-from frogkick.library.store import make_library
+from frogkick.library.store import library_of
 from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.tables.image import open_image
 
@@ -46,7 +46,8 @@ def test_a_table_of_planned_states_errs_less_where_a_planned_run_goes() -> None:
     visited, rods = VisitedStates(ROBOT), prepare(ROBOT)
     visited.add(next(planned_swims(ROBOT, 77)), STATES)
     starts = visited.starts()
-    met_there = make_library(ROBOT, "planned", 77, starts, [simulate_task(rods, t) for t in starts.tasks])
+    done = [simulate_task(rods, task) for task in starts.tasks]
+    met_there = library_of(ROBOT, "planned", 77, starts.unfolded(done))
     velocity = met_there.initial_velocity_body
     assert velocity[:, 0].max() > 0.02  # forward, m/s
     assert velocity[:, 2].min() < -0.05 < 0.05 < velocity[:, 2].max()  # turn rate, rad/s
@@ -54,7 +55,8 @@ def test_a_table_of_planned_states_errs_less_where_a_planned_run_goes() -> None:
 
     def at_rest(velocity: np.ndarray) -> Library:
         starts = rigid_starts(ROBOT, velocity)
-        return make_library(ROBOT, "box", 0, starts, [simulate_task(rods, task) for task in starts.tasks])
+        done = [simulate_task(rods, task) for task in starts.tasks]
+        return library_of(ROBOT, "box", 0, starts.unfolded(done))
 
     unseen = at_rest(velocity)
 

@@ -12,7 +12,7 @@ import shutil
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +27,22 @@ from frogkick.der import Rods, cubic
 from frogkick.der.compiled import SOURCES
 from frogkick.effects import rods_of
 from frogkick.library.sampling import sample_starts
-from frogkick.library.starts import Starts, rigid_starts
+from frogkick.library.starts import Starts
 from frogkick.library.store import (
     Library,
     library_of,
-    make_library,
     read_library,
     read_recorded,
     write_library,
 )
-from frogkick.library.transitions import SAMPLE_S, Failed, Task, Transitions, recorded_times, simulate_task
+from frogkick.library.transitions import (
+    SAMPLE_S,
+    Failed,
+    Transitions,
+    recorded_times,
+    rigid_task,
+    simulate_task,
+)  # fmt: skip
 from frogkick.library.wear import wear_curves
 from frogkick.robot import Robot
 
@@ -138,19 +144,8 @@ Progress = Callable[[int, int], None]
 """Called with transitions done and all transitions."""
 
 
-_Ready = tuple[Rods, float]
-
-
-def _start(robot: Robot, record_s: float) -> _Ready:
-    return rods_of(robot), record_s
-
-
-def _run(ready: _Ready, task: Task) -> Transitions:
-    return simulate_task(ready[0], task, ready[1])
-
-
-def _warm(ready: _Ready) -> None:
-    simulate_task(ready[0], rigid_starts(ready[0].robot, np.zeros((1, 3))).tasks[0])
+def _warm(rods: Rods) -> None:
+    simulate_task(rods, rigid_task(np.zeros((1, 3))))
 
 
 def build_library(
@@ -197,7 +192,7 @@ def build_library(
     name = f"{robot.id} {robot.sha256.hex()[:8]}, {states} states, seed {seed}, {sampling}, {record_s:g} s"
     parts = Checkpoints(Path(out), _job(robot, starts, record_s), name, keep_others)
     done = _simulate_parts(robot, starts, record_s, parts, progress, workers, cluster)
-    library = make_library(robot, sampling, seed, starts, done)
+    library = library_of(robot, sampling, seed, starts.unfolded(done))
     failed = library.failed
     transitions = states * len(robot.actions)
     if len(failed) == transitions:
@@ -230,7 +225,7 @@ def sample_library(
         done.append(simulate_task(rods, task))
         states_done = int((starts.part < len(done)).sum())
         progress(states_done * len(robot.actions), states * len(robot.actions))
-    library = make_library(robot, sampling, seed, starts, done)
+    library = library_of(robot, sampling, seed, starts.unfolded(done))
     for failure in library.failed:
         raise ConvergenceError(
             f"unseen state {failure.state} of {robot.id!r} cannot be simulated: {failure.reason}"
@@ -272,7 +267,7 @@ def _simulate_parts(
             note(index, part)
     report()
     missing = [index for index in range(len(starts.tasks)) if index not in done]
-    job = Job(_start, (robot, record_s), _run, _warm)
+    job = Job(rods_of, (robot,), partial(simulate_task, record_s=record_s), _warm)
     for place, part in run_chunks(job, [starts.tasks[index] for index in missing], workers, cluster):
         parts.save(missing[place], part)
         note(missing[place], part)
@@ -332,10 +327,9 @@ def truncate_library(path: Path | str, robot: Robot) -> Library:
     share = np.asarray((period - times[left]) / length)
     at, slope = cubic(pose[:, :, 0], pose[:, :, 1], rate[:, :, 0], rate[:, :, 1], length, share)
     rows = np.concatenate([at, body_from_world(at[..., 2], slope)], axis=-1)
-    return library_of(
-        robot, library.sampling, library.seed, library.initial_velocity_body, rows,
-        library.previous_actions, library.failed,
-    )  # fmt: skip
+    none = np.empty((*rows.shape[:2], 0, 6), dtype=np.float32)
+    found = Transitions(library.initial_velocity_body, library.previous_actions, rows, none, library.failed)
+    return library_of(robot, library.sampling, library.seed, found)
 
 
 def _moves_like(robot: Robot) -> tuple[object, ...]:

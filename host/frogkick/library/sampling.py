@@ -22,7 +22,7 @@ from frogkick.der import STEP_S, WIDTH, Batch, Rods
 from frogkick.effects import rods_of
 from frogkick.effects.acting import lane_effects, program_of
 from frogkick.library.starts import Starts, VisitedStates, random_swims, rigid_starts
-from frogkick.library.store import make_library, quantise
+from frogkick.library.store import library_of, quantise
 from frogkick.library.transitions import simulate_task
 from frogkick.planner.plan import config_of, plan_batch
 from frogkick.robot import Robot, mirror_of
@@ -71,9 +71,8 @@ def first_table(robot: Robot, seed: int) -> bytes:
     rods, visited = rods_of(robot), VisitedStates(robot)
     visited.add(random_swims(robot, seed), _FIRST_TABLE_STATES)
     starts = visited.starts()
-    return quantise(
-        make_library(robot, "visited", seed, starts, [simulate_task(rods, t) for t in starts.tasks])
-    )
+    found = starts.unfolded([simulate_task(rods, task) for task in starts.tasks])
+    return quantise(library_of(robot, "visited", seed, found))
 
 
 _Ready = tuple[Rods, Tables, int]

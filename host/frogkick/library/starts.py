@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.core.arrays import AnyArray, Bool, Float64, Int64
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.der import WIDTH
 from frogkick.library.transitions import RESTED, Failed, Task, Transitions, rigid_task
 from frogkick.robot import Mirror, Robot, mirror_of
@@ -48,42 +48,31 @@ class Starts:
             return simulated
         return np.asarray(simulated[list(self.mirror.actions)] * _LEFT.astype(simulated.dtype))
 
-    def velocity_body(self, parts: Sequence[Transitions]) -> Float64:
-        """(n, 3) velocities of all states."""
-        found = self._taken([part.velocity_body for part in parts])
-        return np.where(self.mirrored[:, None], found * _LEFT[3:], found) + 0.0  # -0.0 is 0.0
-
-    def previous(self, parts: Sequence[Transitions]) -> Int64:
-        """(n, HISTORY) earlier actions of all states."""
-        found: Int64 = self._taken([part.previous for part in parts]).astype(np.int64)
+    def unfolded(self, parts: Sequence[Transitions]) -> Transitions:
+        """Transitions from all states by those of the simulations, without recorded motions."""
+        first = np.cumsum([0, *(len(part.rows) for part in parts)])
+        source = first[self.part] + self.row
+        velocity, previous, simulated = (
+            np.concatenate([getattr(part, name) for part in parts])[source]
+            for name in ("velocity_body", "previous", "rows")
+        )
         if self.mirror is not None:
-            mirrored = np.array([*self.mirror.actions, RESTED])  # index RESTED is the last entry
-            found = np.where(self.mirrored[:, None], mirrored[found], found)
-        return found
+            velocity = np.where(self.mirrored[:, None], velocity * _LEFT[3:], velocity)
+            actions = np.array([*self.mirror.actions, RESTED])  # index RESTED is the last entry
+            previous = np.where(self.mirrored[:, None], actions[previous], previous)
+        rows = np.array([self.of(state, row) for state, row in enumerate(simulated)])
+        recorded = np.empty((*rows.shape[:2], 0, 6), dtype=np.float32)
+        return Transitions(velocity + 0.0, previous, rows, recorded, self._failed(parts))  # -0.0 is 0.0
 
-    def rows(self, parts: Sequence[Transitions]) -> Float64:
-        """(n, a, 6) transitions of all states."""
-        found = self._taken([part.rows for part in parts])
-        return np.array([self.of(state, row) for state, row in enumerate(found)])
-
-    def _taken(self, values: Sequence[AnyArray]) -> AnyArray:
-        first = np.cumsum([0, *(len(rows) for rows in values)])
-        return np.concatenate(values)[first[self.part] + self.row]
-
-    def failed(self, parts: Sequence[Transitions]) -> tuple[Failed, ...]:
-        """Failures of all states from those of the simulations."""
-        by_source: dict[tuple[int, int], list[Failed]] = {}
-        for index, part in enumerate(parts):
-            for failure in part.failed:
-                by_source.setdefault((index, failure.state), []).append(failure)
+    def _failed(self, parts: Sequence[Transitions]) -> tuple[Failed, ...]:
+        failures = [{(f.state, f.action): f.reason for f in part.failed} for part in parts]
         found: list[Failed] = []
-        for state, source in enumerate(zip(self.part.tolist(), self.row.tolist(), strict=True)):
-            for failure in by_source.get(source, []):
-                if self.mirrored[state] and self.mirror is not None:
-                    reason = f"its mirror image {failure.reason}"
-                    found.append(Failed(state, self.mirror.actions.index(failure.action), reason))
-                else:
-                    found.append(Failed(state, failure.action, failure.reason))
+        for state, (part, row) in enumerate(zip(self.part.tolist(), self.row.tolist(), strict=True)):
+            for (source, action), reason in failures[part].items():
+                if source == row and self.mirrored[state] and self.mirror is not None:
+                    action, reason = self.mirror.actions.index(action), f"its mirror image {reason}"
+                if source == row:
+                    found.append(Failed(state, action, reason))
         return tuple(sorted(found, key=lambda f: (f.state, f.action)))
 
 

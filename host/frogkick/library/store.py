@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from frogkick.core.arrays import Bool, Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path, existing_file, require_room
 from frogkick.core.version import VERSION
-from frogkick.library.starts import Starts
 from frogkick.library.transitions import HISTORY, RESTED, Failed, Transitions
 from frogkick.library.wear import no_curves
 from frogkick.robot import Robot, parse_robot
@@ -29,14 +28,20 @@ OVERHEAD_BYTES, STEP_BYTES, SAMPLE_BYTES = 65536, 64, 24
 FORMAT = "frogkick library"
 FORMAT_VERSION = 3  # 2: recorded motions, failed transitions; 3: actions before a state
 _READABLE = (2, 3)
+
+
+def _attributes(units: str, where: str) -> dict[str, str]:
+    return {"units": units, "frame": f"body at {where}: forward, left, counter-clockwise"}
+
+
 _UNITS = {
-    "initial_velocity_body": ("m/s, m/s, rad/s", "body at the start: forward, left, counter-clockwise"),
-    "displacement_body": ("m, m, rad", "body at the start: forward, left, counter-clockwise"),
-    "velocity_body_end": ("m/s, m/s, rad/s", "body at the end: forward, left, counter-clockwise"),
+    "initial_velocity_body": _attributes("m/s, m/s, rad/s", "the start"),
+    "displacement_body": _attributes("m, m, rad", "the start"),
+    "velocity_body_end": _attributes("m/s, m/s, rad/s", "the end"),
 }
 _RECORDED_UNITS = {
-    "recorded_pose_body": ("m, m, rad", "body at the start: forward, left, counter-clockwise"),
-    "recorded_velocity_body": ("m/s, m/s, rad/s", "body at that time: forward, left, counter-clockwise"),
+    "recorded_pose_body": _attributes("m, m, rad", "the start"),
+    "recorded_velocity_body": _attributes("m/s, m/s, rad/s", "that time"),
 }
 _FACTS = ("robot_id", "robot_toml", "robot_sha256", "sampling", "seed", "frogkick_version", "period_s")
 _TIMES = "recorded_time_s"
@@ -170,10 +175,8 @@ def write_library(
         for name in _FACTS:
             value = getattr(library, name)
             file.attrs[name] = value.hex() if isinstance(value, bytes) else value
-        for name, (units, frame) in _UNITS.items():
-            dataset = file.create_dataset(name, data=getattr(library, name), dtype="<f8")
-            dataset.attrs["units"] = units
-            dataset.attrs["frame"] = frame
+        for name, attributes in _UNITS.items():
+            file.create_dataset(name, data=getattr(library, name), dtype="<f8").attrs.update(attributes)
         previous = file.create_dataset(_PREVIOUS, data=library.previous_actions, dtype="<i1")
         previous.attrs["meaning"] = _PREVIOUS_MEANING
         if len(library.limb_wear):
@@ -185,11 +188,9 @@ def write_library(
         file.create_dataset("failed_reason", data=np.array(reasons, dtype=np.bytes_ if reasons else "S1"))
         file.create_dataset(_TIMES, data=times, dtype="<f8").attrs["units"] = "s"
         motions = []
-        for name, (units, frame) in _RECORDED_UNITS.items():
-            dataset = file.create_dataset(name, shape=(states, actions, len(times), 3), dtype="<f4")
-            dataset.attrs["units"] = units
-            dataset.attrs["frame"] = frame
-            motions.append(dataset)
+        for name, attributes in _RECORDED_UNITS.items():
+            motions.append(file.create_dataset(name, shape=(states, actions, len(times), 3), dtype="<f4"))
+            motions[-1].attrs.update(attributes)
         for state, motion in enumerate(recorded):
             if len(times):
                 motions[0][state], motions[1][state] = motion[..., :3], motion[..., 3:]
@@ -287,26 +288,8 @@ def library_info(path: Path | str) -> dict[str, Any]:
     }
 
 
-def make_library(
-    robot: Robot, sampling: str, seed: int, starts: Starts, parts: Sequence[Transitions]
-) -> Library:
-    """A library from states and the results of their simulations."""
-    return library_of(
-        robot, sampling, seed, starts.velocity_body(parts), starts.rows(parts), starts.previous(parts),
-        starts.failed(parts),
-    )  # fmt: skip
-
-
-def library_of(
-    robot: Robot,
-    sampling: str,
-    seed: int,
-    initial: Float64,
-    rows: Float64,
-    previous: Int64,
-    failed: tuple[Failed, ...] = (),
-) -> Library:
-    """A library of (n, a, 6) transitions from (n, 3) velocities after (n, HISTORY) actions."""
+def library_of(robot: Robot, sampling: str, seed: int, found: Transitions) -> Library:
+    """A library of transitions from all of its states."""
     return Library(
         robot_id=robot.id,
         robot_toml=robot.toml,
@@ -315,11 +298,11 @@ def library_of(
         seed=seed,
         frogkick_version=VERSION,
         period_s=robot.period_s,
-        initial_velocity_body=initial,
-        displacement_body=np.ascontiguousarray(rows[:, :, :3]),
-        velocity_body_end=np.ascontiguousarray(rows[:, :, 3:]),
-        previous_actions=previous,
-        failed=failed,
+        initial_velocity_body=found.velocity_body,
+        displacement_body=np.ascontiguousarray(found.rows[:, :, :3]),
+        velocity_body_end=np.ascontiguousarray(found.rows[:, :, 3:]),
+        previous_actions=found.previous,
+        failed=found.failed,
     )
 
 

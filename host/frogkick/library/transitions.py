@@ -37,9 +37,6 @@ class Task:
     actions: Int64
     wanted: Bool
 
-    def __len__(self) -> int:
-        return int(self.wanted.sum())
-
 
 def rigid_task(velocity_body: Float64) -> Task:
     """The task of k robots at (k, 3) velocities, limbs at rest."""

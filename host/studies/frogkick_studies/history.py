@@ -15,7 +15,7 @@ from frogkick.core.progress import shown
 from frogkick.effects import rods_of
 from frogkick.library import Library, error_on, fit_table, sample_library
 from frogkick.library.starts import rigid_starts
-from frogkick.library.store import make_library
+from frogkick.library.store import library_of
 from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot, parse_robot
@@ -98,7 +98,7 @@ def _restarted(robot: Robot, library: Library) -> Library:
     """Return the library of the same velocities, each of a rigid robot with all limbs at rest."""
     starts, rods = rigid_starts(robot, library.initial_velocity_body), rods_of(robot)
     done = [simulate_task(rods, task) for task in starts.tasks]
-    return make_library(robot, library.sampling, library.seed, starts, done)
+    return library_of(robot, library.sampling, library.seed, starts.unfolded(done))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,8 @@ def test_a_quadratic_system_is_found_exactly(states: int) -> None:
     known = Known(1, degree=2)
     surface = surface_of(known.library(states, 2))
     unseen = known.library(50, 3)
-    found = surface.predicted(unseen.initial_velocity_body / RESOLUTION, unseen.previous_actions)
+    found = surface.at(unseen.initial_velocity_body / RESOLUTION)
+    found += surface.history.added(ROBOT, unseen.previous_actions)
     assert found == pytest.approx(unseen.rows(), abs=1e-5 if states == STATES_MIN else 1e-7)
     assert not surface.history.effect.any()
 
@@ -38,7 +39,8 @@ def test_what_use_adds_is_told_apart_from_what_velocity_does(decay: float, gain:
     assert (surface.history.decay, surface.history.gain) == (decay, pytest.approx(gain))
     assert surface.history.effect == pytest.approx(effect, abs=1e-5)
     unseen = known.library(50, 3)
-    found = surface.predicted(unseen.initial_velocity_body / RESOLUTION, unseen.previous_actions)
+    found = surface.at(unseen.initial_velocity_body / RESOLUTION)
+    found += surface.history.added(ROBOT, unseen.previous_actions)
     assert found == pytest.approx(unseen.rows(), abs=2e-5)
 
 

@@ -77,14 +77,6 @@ class Law(Effect):
     about = "a formula for a force, a flow, a stroke or a fix"
     shown_by = "whatever its formula depends on: record runs in which that varies"
 
-    def __new__(cls, on: str = "wrench", **_given: Any) -> Law:
-        """Return an instance with only the methods of what it acts on, because other methods cost time.
-
-        A copy is made from its class alone, which says what it acts on.
-        """
-        made: Law = object.__new__(_KINDS.get(on, cls) if cls is Law else cls)
-        return made
-
     def __init__(
         self,
         on: str = "wrench",
@@ -161,6 +153,9 @@ class Law(Effect):
     def in_tables(self) -> bool:
         return self.on in ("wrench", "stroke") and not self.names & set(NOT_IN_TABLES)
 
+    def overrides(self, hook: str) -> bool:
+        return hook == self.on
+
     def likeliest(self) -> Effect:
         if not self.by_chance:
             return self
@@ -190,28 +185,18 @@ class Law(Effect):
         given = {**self._given, **values}
         return {key: formula.over(given) for key, formula in self._formulas.items()}
 
-    def __repr__(self) -> str:
-        formulas = [f"{key}={text!r}" for key, text in self.formulas.items()]
-        return f"Law({self.on}: {', '.join([*formulas, *(f'{k}={v:g}' for k, v in self._given.items())])})"
-
-
-class _OnWrench(Law):
     def wrench(self, time_s: float, body: Body) -> Sequence[float]:
         given = {**self._given, **_seen(body), "time_s": time_s}
         forward, left, x, y, torque = self._all(given, ("forward_n", "left_n", "x_n", "y_n", "torque_nm"))
         along, aside = rotate(-body.pose_world[2], x, y)
         return (forward + along, left + aside, torque)
 
-
-class _OnFlow(Law):
     def flow(self, time_s: float, position_world_m: Float64) -> Sequence[float]:
         x, y = float(position_world_m[0]), float(position_world_m[1])
         return self._all({**self._given, "time_s": time_s, "x_m": x, "y_m": y}, ("x_mps", "y_mps"))
 
-
-class _OnStroke(Law):
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        if self.limb not in (ALL, stroke.limb):
+        if self.on != "stroke" or self.limb not in (ALL, stroke.limb):
             return stroke
         body = stroke.body or Body(stroke.time_s, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         values = {
@@ -231,9 +216,9 @@ class _OnStroke(Law):
         stroke.duration_scale *= given.get("duration_scale", 1.0)
         return stroke
 
-
-class _OnFix(Law):
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        if self.on != "fix":
+            return fix
         values = {
             **self._given, "time_s": fix.capture_s, "x_m": fix.x_m, "y_m": fix.y_m,
             "heading_rad": fix.heading_rad, "chance": self._chance(rng),
@@ -246,8 +231,9 @@ class _OnFix(Law):
         fix.delay_s -= delay
         return fix
 
-
-_KINDS: Mapping[str, type[Law]] = {"wrench": _OnWrench, "flow": _OnFlow, "stroke": _OnStroke, "fix": _OnFix}
+    def __repr__(self) -> str:
+        formulas = [f"{key}={text!r}" for key, text in self.formulas.items()]
+        return f"Law({self.on}: {', '.join([*formulas, *(f'{k}={v:g}' for k, v in self._given.items())])})"
 
 
 def _seen(body: Body) -> dict[str, float]:

@@ -81,7 +81,6 @@ def simulate_stages(
 class Motions:
     """Motions of k robots from the world's origin, heading along world x."""
 
-    time_s: Float64  # (s,) times
     pose_world: Float64  # (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN after a failure
     velocity_body: Float64  # (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise
     failures: dict[int, Failure]  # simulation -> its failure
@@ -135,7 +134,7 @@ def simulate_many(
             failures[k] = track
         else:
             pose[k], speed[k] = interpolate(track.time_s, track.motion, times)
-    return Motions(times, pose, speed, failures)
+    return Motions(pose, speed, failures)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

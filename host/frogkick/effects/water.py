@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,10 +17,6 @@ from frogkick.robot import Limb, Robot
 from frogkick.robot.schema import Frame
 
 Part = TypeVar("Part", Frame, Limb)
-
-
-class _Times(Protocol):
-    def __call__(self, part: Part, factor: float) -> Part: ...
 
 
 class SteadyCurrent(Effect):
@@ -89,7 +85,7 @@ def times_mass(part: Part, factor: float) -> Part:
     )
 
 
-def scaled(robot: Robot, times: _Times, frame: float, limbs: float) -> Robot:
+def scaled(robot: Robot, times: Callable[[Any, float], Any], frame: float, limbs: float) -> Robot:
     """Return a robot whose frame and limbs are scaled by ``times_drag`` or ``times_mass``."""
     each = tuple(times(limb, limbs) for limb in robot.limbs)
     return replace(robot, frame=times(robot.frame, frame), limbs=each)

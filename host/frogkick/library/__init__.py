@@ -24,25 +24,8 @@ from frogkick.library.store import (
 from frogkick.library.transitions import Failed
 
 __all__ = [
-    "BUDGET_BYTES",
-    "KINDS",
-    "RECORD_S",
-    "SAMPLINGS",
-    "Failed",
-    "Fitted",
-    "Library",
-    "Recorded",
-    "build_library",
-    "checkpoint_folder",
-    "default_table",
-    "error_on",
-    "fit_table",
-    "library_info",
-    "quantise",
-    "read_library",
-    "read_recorded",
-    "sample_library",
-    "sample_starts",
-    "truncate_library",
+    "BUDGET_BYTES", "KINDS", "RECORD_S", "SAMPLINGS", "Failed", "Fitted", "Library", "Recorded",
+    "build_library", "checkpoint_folder", "default_table", "error_on", "fit_table", "library_info",
+    "quantise", "read_library", "read_recorded", "sample_library", "sample_starts", "truncate_library",
     "write_library",
-]
+]  # fmt: skip

@@ -162,26 +162,14 @@ def build_library(
 ) -> Library:
     """Simulate ``states`` initial velocities times all actions, write the library, and return it.
 
-    The file's bytes depend on robot, states, seed, sampling and record_s only. After Ctrl-C finished parts
-    stay in ``OUT.parts``, and the same build resumes from them. Transitions that fail are listed in the file,
-    with NaN in their rows.
+    What is said of ``frogkick.build_library`` holds. The file's bytes depend on robot, states, seed, sampling
+    and record_s only. After Ctrl-C finished parts stay in ``OUT.parts``, and the same build resumes from
+    them. Transitions that fail are listed in the file, with NaN in their rows.
 
     Args:
-        robot: the robot to simulate.
-        states: number of states, 1 to 65535.
-        seed: of their sampling.
-        workers: number of processes; 1: this one.
-        out: the HDF5 file to write.
-        progress: called with transitions done and all transitions.
-        sampling: "box", "visited" or "planned", see ``sample_starts``.
-        record_s: recorded time of each transition; nothing is recorded up to the period.
-        cluster: address of a Dask scheduler whose workers simulate instead; see frogkick.core.chunks.
         keep_others: raise if ``OUT.parts`` belongs to another build, instead of deleting it.
 
     Raises:
-        InputError: an argument out of its range, a file that cannot be written, no such cluster, or parts of
-            another library.
-        ConvergenceError: all simulations failed; nothing is written.
         FrogkickError: a worker process died, or the cluster failed; finished parts are kept.
     """
     if not 1 <= workers <= WORKERS_MAX:
@@ -294,13 +282,10 @@ def truncate_library(path: Path | str, robot: Robot) -> Library:
     """The library of a robot with another period, from one that was recorded up to that period.
 
     Displacements and velocities at the new period are on the cubic through two recorded poses and velocities.
-
-    Args:
-        path: a library.
-        robot: the library's robot with another period; settings that do not move it may differ too.
+    Settings of the robot that do not move it may differ too.
 
     Raises:
-        InputError: see read_library; another robot, a period that was not recorded, or states amid strokes.
+        InputError: another robot, a period that was not recorded, or states amid strokes.
     """
     library, recorded = read_library(path), read_recorded(path)
     if _moves_like(robot) != _moves_like(library.robot()):

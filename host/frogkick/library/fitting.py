@@ -18,7 +18,7 @@ from frogkick.core.compiled import kept, stamp_of
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import wrap_angle
 from frogkick.core.progress import Tell
-from frogkick.library.build import build_library
+from frogkick.library.build import Progress, build_library
 from frogkick.library.store import Library, quantise, table_metadata
 from frogkick.library.surface import STATES_MIN, Surface, fit_surface, noise_of
 from frogkick.library.voronoi import VoronoiCells, VoronoiRegression
@@ -55,21 +55,23 @@ def error_on(tables: Tables, unseen: Library) -> dict[str, float]:
     Returns:
         ``position_m``, ``heading_rad`` at the period's end, and ``velocity_mps``, ``omega_rad_s`` there.
     """
-    whole = unseen.whole_states()
-    found = looked_up(tables, unseen.initial_velocity_body[whole], unseen.previous_actions[whole])
-    return rms_gap(found - unseen.rows()[whole])
+    return _rms(_gap(tables, unseen.part(np.flatnonzero(unseen.whole_states()))))
 
 
-def rms_gap(gap: Float64) -> dict[str, float]:
-    """Root mean square of differences (n, a, 6), by quantity."""
-    turn = wrap_angle(gap[..., 2])
+def _gap(tables: Tables, unseen: Library) -> Float64:
+    """(n, a, 6) what a table looks up less what a library has."""
+    gap = looked_up(tables, unseen.initial_velocity_body, unseen.previous_actions) - unseen.rows()
+    gap[..., 2] = wrap_angle(gap[..., 2])
+    return gap
 
+
+def _rms(gap: Float64) -> dict[str, float]:
     def rms(*columns: Float64) -> float:
         return float(np.sqrt(np.mean(np.sum(np.square(columns), axis=0))))
 
     return {
         "position_m": rms(gap[..., 0], gap[..., 1]),
-        "heading_rad": rms(turn),
+        "heading_rad": rms(gap[..., 2]),
         "velocity_mps": rms(gap[..., 3], gap[..., 4]),
         "omega_rad_s": rms(gap[..., 5]),
     }
@@ -137,9 +139,6 @@ class Fitted:
     score: float
 
 
-Progress = Callable[[int, int], None]
-
-
 def fit_table(
     library: Library,
     kind: str | None = None,
@@ -152,17 +151,8 @@ def fit_table(
     Otherwise states are chosen where the error is large (see frogkick.library.voronoi), and the best of
     several roundings of the values is taken: coarser values leave room for more states.
 
-    Args:
-        library: at least WHOLE_MIN complete states; any number for a "nearest" table of all states.
-        kind: "nearest", "affine", or None for the better one.
-        budget_bytes: limit of the image; None: none for "nearest", 64 KiB for "affine".
-        progress: called with tables tried and all tables.
-
-    Returns:
-        The table; the same bytes for the same library on the same machine.
-
-    Raises:
-        InputError: an unknown kind, too few states, or a budget that holds no state.
+    The same library gives the same bytes on the same machine. Arguments and errors are those of
+    ``frogkick.fit_table``; a fit needs WHOLE_MIN complete states, a "nearest" table of all states any number.
     """
     if kind is not None and kind not in KINDS:
         raise InputError(f"kind is {kind!r}{nearest_name(kind, KINDS)}: give {' or '.join(KINDS)}")
@@ -279,14 +269,9 @@ class _Fit:
         )
 
     def _scored(self, kind: str, image: bytes) -> Fitted:
-        library, held = self._library, self._held
-        found = looked_up(
-            open_image(image), library.initial_velocity_body[held], library.previous_actions[held]
-        )
-        gap = found - library.rows()[held]
-        gap[..., 2] = wrap_angle(gap[..., 2])
+        gap = _gap(open_image(image), self._library.part(self._held))
         score = float(np.sqrt(np.mean((gap / noise_of(self._robot)) ** 2)))
-        return Fitted(image, kind, rms_gap(gap), score)
+        return Fitted(image, kind, _rms(gap), score)
 
 
 def _between(codes: Float64, count: int) -> Float64:
@@ -302,14 +287,7 @@ def _between(codes: Float64, count: int) -> Float64:
 
 
 def _fill(packed: Callable[[int], bytes], budget: int, states_max: int, row_bytes: float) -> bytes:
-    """The image with the most states within a budget.
-
-    Args:
-        packed: makes the image with a number of states.
-        budget: bytes.
-        states_max: largest number of states.
-        row_bytes: first guess of the bytes of a state.
-    """
+    """The image with the most states, at most ``states_max``, within a budget; ``row_bytes`` is a guess."""
     image = packed(1)
     if len(image) > budget:
         raise InputError(
@@ -352,30 +330,12 @@ def default_table(
     ``fit_table`` without arguments: an affine table of ``BUDGET_BYTES``, which fits a slot of every robot.
 
     Args:
-        robot: the robot.
         library: file to write the library to (HDF5).
         stage: makes a progress bar with a title.
         title: of the library's bar.
         states: number of states of the library. Too few for an affine table give one of kind nearest.
-        seed, sampling: how they are drawn; see ``sample_starts``.
-
-    Returns:
-        The table image.
-
-    Raises:
-        InputError: a number of states out of range.
-        ConvergenceError: a simulation failed.
     """
     with stage(title) as tell:
-        made = build_library(
-            robot,
-            states=states,
-            seed=seed,
-            workers=os.cpu_count() or 1,
-            out=library,
-            progress=tell,
-            sampling=sampling,
-            record_s=0.0,
-        )
+        made = build_library(robot, states, seed, os.cpu_count() or 1, library, tell, sampling, 0.0)
     with stage("tables tried") as tell:
         return fit_table(made, progress=tell).image

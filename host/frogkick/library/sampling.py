@@ -53,10 +53,7 @@ def planned_swims(
 ) -> Iterator[list[list[int]]]:
     """Yield the actions of planned swims from rest, without end.
 
-    Args:
-        robot: the swimmer, with the planner of its TOML.
-        seed: of the paths; each swim has a generator of its own.
-        workers, cluster: see frogkick.core.chunks; they do not change the swims.
+    Each swim has a path and a generator of its own; workers and cluster do not change the swims.
     """
     job = Job(_start, (robot, seed, first_table(robot, seed)), _run, _warm)
     swims_per_round = _CLUSTER_BATCHES if cluster is not None else workers
@@ -158,9 +155,6 @@ def sample_starts(
     """Draw the states of a library.
 
     Args:
-        robot: the robot.
-        states: number of states, 1 to 65535.
-        seed: of the sampling.
         sampling: "box" draws velocities uniformly from the robot's library box with all limbs at rest, as the
             paper does. "visited" takes the states at the start of the strokes of random swims, which fill a
             small part of the box and contain the limbs' last strokes. "planned" lets the planner steer along

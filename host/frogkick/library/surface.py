@@ -131,7 +131,6 @@ class Surface:
     A quadratic of the velocity is fitted to the nearest states of each point.
 
     Attributes:
-        robot: the robot.
         codes: (n, 3) velocities of the states, in the robot's velocity resolution.
         values: (n, a * 6) transitions without the effect of earlier use.
         history: effect of earlier use.
@@ -139,7 +138,6 @@ class Surface:
         ridge: the one of RIDGES that was chosen.
     """
 
-    robot: Robot
     codes: Float64
     values: Float64
     history: History
@@ -150,10 +148,6 @@ class Surface:
         """(m, a, 6) transitions from (m, 3) velocities in codes, limbs rested."""
         found = _local(self.tree, self.codes, self.values, codes, self.ridge, skip=0)
         return found.reshape(len(codes), -1, 6)
-
-    def predicted(self, codes: Float64, previous: Int64) -> Float64:
-        """(m, a, 6) transitions from (m, 3) velocities in codes after (m, s) earlier actions."""
-        return self.at(codes) + self.history.added(self.robot, previous)
 
 
 def fit_surface(robot: Robot, velocities: Float64, rows: Float64, previous: Int64) -> Surface:
@@ -183,7 +177,7 @@ def fit_surface(robot: Robot, velocities: Float64, rows: Float64, previous: Int6
         history = fit_history(robot, rows, previous, noise, smoothed)
         rested = (rows - history.added(robot, previous)).reshape(len(rows), -1)
         missed = float((((rested - smoothed(rested)) / np.tile(noise, rows.shape[1])) ** 2).mean())
-        tried.append((missed, Surface(robot, codes, rested, history, tree, ridge)))
+        tried.append((missed, Surface(codes, rested, history, tree, ridge)))
     least = min(missed for missed, _ in tried)
     return next(surface for missed, surface in tried if missed <= _WORSE_MOST * least)
 

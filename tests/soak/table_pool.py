@@ -1,4 +1,4 @@
-"""A pool whose swimmer moves as a table says: for lives too long for the rods."""
+"""A pool whose robot moves as a table says: for lives too long for the rods."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _COAST_S = 1.0  # in which a glide loses all but 1/e of its speed
 _NOISE = 0.05  # of each stroke's motion
 
 
-class TableSwimmer:
-    """What ``Pool`` needs of a swimmer. Half strokes that are no action of the table move nothing."""
+class TableBatch:
+    """What ``Pool`` needs of a batch of one robot. Half strokes that are no action of the table move nothing."""
 
     def __init__(self, tables: Tables, pose_world: npt.ArrayLike, rng: np.random.Generator) -> None:
-        self.time_s = 0.0
+        self.time_s, self.failures = np.zeros(1), dict[int, str]()
         self._rng = rng
         self._period_s = tables.period_us * 1e-6
         self._fire = (tables.pulse_us + tables.second_delay_us) / tables.period_us
@@ -61,13 +61,13 @@ class TableSwimmer:
         self._motion, self._after = self._gain * move[:3], move[3:]
 
     def advance(self, until_s: float) -> None:
-        self.time_s = until_s
+        self.time_s[0] = until_s
 
     def pose_world(self) -> npt.NDArray[np.float64]:
-        return self._pose_at(self.time_s)
+        return self._pose_at(float(self.time_s[0]))[None]
 
     def velocity_body(self) -> npt.NDArray[np.float64]:
-        return self._speed_at(self.time_s)
+        return self._speed_at(float(self.time_s[0]))[None]
 
     def _part(self, time_s: float) -> float:
         return max(0.0, (time_s - self._begin_s) / self._period_s)
@@ -102,15 +102,15 @@ class TableSwimmer:
 class _NoEffects:
     effects = ()
 
-    def fire(self, swimmer: TableSwimmer, limb: int, start_s: float) -> None:
-        swimmer.fire(limb, start_s)
+    def fire(self, batch: TableBatch, lane: int, limb: int, start_s: float) -> None:
+        batch.fire(limb, start_s)
 
-    def advance(self, swimmer: TableSwimmer, until_s: float) -> None:
-        swimmer.advance(until_s)
+    def advance(self, batch: TableBatch, until_s: float) -> None:
+        batch.advance(until_s)
 
 
 class TablePool(Pool):
-    """``Pool`` with such a swimmer."""
+    """``Pool`` with such a robot."""
 
     def __init__(
         self, tables: Tables, pose_world: npt.ArrayLike, camera: Camera, rng: np.random.Generator
@@ -118,7 +118,7 @@ class TablePool(Pool):
         self.camera = camera
         self.truth = Truth()
         self._acting = _NoEffects()
-        self._swimmer = TableSwimmer(tables, pose_world, rng.spawn(1)[0])
+        self._batch = TableBatch(tables, pose_world, rng.spawn(1)[0])
         self._rng = rng
         self._captured = 0
         self._sent = 0

@@ -19,7 +19,7 @@ _NOISE = 0.05  # of each stroke's motion
 
 
 class TableBatch:
-    """What ``Pool`` needs of a batch of one robot. Half strokes that are no action of the table move nothing."""
+    """What ``Pool`` needs of a batch of one. Half strokes that are no action of the table move nothing."""
 
     def __init__(self, tables: Tables, pose_world: npt.ArrayLike, rng: np.random.Generator) -> None:
         self.time_s, self.failures = np.zeros(1), dict[int, str]()

@@ -26,7 +26,10 @@ FULL = LEVEL == "full"
 from_ci = pytest.mark.from_ci
 """A slow test, which make test leaves out: cheaper ones hold most of it."""
 few_at_ci = [0]
-"""1 while a test runs that has the fixture ``few_pieces``."""
+"""1 while a test runs that is marked ``few_pieces``."""
+few_pieces = pytest.mark.few_pieces
+"""A test of a search, a command or a file, not of how finely a robot is drawn: in .ci/run, too, robots
+(``made.robot``) are of few pieces as in make test; in make test-full as they are drawn."""
 LEFT_OUT = "slow tests that are left out: FK_LEVEL=ci runs them"
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for; ``LEFT_OUT`` -> number of tests."""
@@ -138,15 +141,10 @@ def few_wear_gains() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def few_pieces() -> Iterator[None]:
-    """Robots of few pieces (``made.robot``) in .ci/run as in make test; as they are drawn in make test-full.
-
-    For a test that asks something of a search, a command or a file, not of how finely a robot is drawn.
-    """
-    few_at_ci[0] = 1
-    yield
-    few_at_ci[0] = 0
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Before any fixture, so that those of a file with the mark in ``pytestmark`` have it as well."""
+    few_at_ci[0] = int(item.get_closest_marker("few_pieces") is not None)
 
 
 def compile_once() -> None:

@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.conftest import REPOSITORY, count, from_ci
+from tests.conftest import REPOSITORY, count, few_pieces, from_ci
 from tests.identification.made import robot as made_robot
 
 import frogkick as fk
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.terms import catalogue
+
+pytestmark = few_pieces
 
 EXAMPLES = REPOSITORY / "host" / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
@@ -35,7 +37,7 @@ built: dict[tuple[Any, ...], fk.Library] = {}
 
 
 @pytest.fixture
-def quick(few_pieces: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A folder to run in; but with test-full the same calls are made cheaper."""
     monkeypatch.chdir(tmp_path)
     if few := count(60, 0, 46):

@@ -41,7 +41,7 @@ def term(title: str, *values: float) -> Term:
 def robot(name: str = "frog2022", side: int = 3, limb: int = 3) -> Robot:
     """The paper's; in make test of so few pieces, which swims much the same at a quarter of the cost.
 
-    So it is in .ci/run in tests with the fixture ``few_pieces``; as it is drawn everywhere in make test-full.
+    So it is in .ci/run in tests that are marked ``few_pieces``; as it is drawn everywhere in make test-full.
     """
     return _robot(name, side, limb, bool(count(few_at_ci[0], 0, 1)))
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import make_swim, robot
-from tests.conftest import count, from_ci, some
+from tests.conftest import count, few_pieces, from_ci, some
 
 from frogkick.effects import Law
 from frogkick.effects.registry import make_effects
@@ -148,7 +148,7 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 @from_ci
-@pytest.mark.usefixtures("few_pieces")
+@few_pieces
 @pytest.mark.parametrize(("title", "table"), some(WORLDS, 1))
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
     seeds, periods = range(1, count(4, 4, 3)), count(PERIODS, PERIODS, 12)
@@ -174,6 +174,7 @@ MISPLACED: list[tuple[dict[str, float], dict[str, float]]] = [
 
 
 @from_ci
+@few_pieces
 @pytest.mark.parametrize(("cable", "moment"), MISPLACED, ids=["cable", "moment"])
 def test_laws_are_moved_beside_each_other(
     folder: Path, cable: dict[str, float], moment: dict[str, float]

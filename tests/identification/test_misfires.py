@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made import make_swim, robot
-from tests.conftest import LEVEL, count, from_ci, some
+from tests.conftest import LEVEL, count, few_pieces, from_ci, some
 
 from frogkick.effects import Fix
 from frogkick.identification.jumps import jumped, jumps_of, without_jumps
@@ -80,6 +80,7 @@ def test_one_stroke_that_fails_is_an_accident() -> None:
 
 
 @from_ci
+@few_pieces
 def test_a_limb_that_breaks_does_not_misfire() -> None:
     at = {"at": {"value": 15.0, "unit": "s"}}
     table = {"name": "law", "on": "stroke", "limb": "front_left", "gain": "time_s < at", "parameters": at}

@@ -24,6 +24,14 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
     "states as a float": (lambda _: fk.build_library("frog2022", 100.0), "states is 100.0: give 1 to 65535"),
     "states as text": (lambda _: fk.build_library("frog2022", "100"), "states is '100': give 1 to 65535"),
     "a seed as text": (lambda _: fk.build_library("frog2022", 10, "a"), "seed is 'a': give 0 or more"),
+    "a seed that no file holds": (
+        lambda _: fk.build_library("frog2022", 10, 2**63),
+        "a whole number below 2^63",
+    ),
+    "a number as a sampling": (lambda _: fk.build_library("frog2022", 10, sampling=5), "sampling"),
+    "a number as a target": (lambda _: fk.connect(5).__enter__(), "5"),
+    "a name as long as no file's": (lambda _: fk.load_robot("x" * 5000), "name a TOML file or one of"),
+    "a log's name as long as no file's": (lambda _: fk.load_run("x" * 5000), "name too long; check the path"),
     "a robot as library": (lambda robot: fk.fit_table(robot), "library is given as Robot: give a file"),
     "a robot as table": (lambda robot: fk.load_table(robot), "table image is given as Robot: give a file"),
     "an effect's name as world": (
@@ -56,6 +64,11 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
 OF_A_TABLE: dict[str, tuple[Callable[[Any], object], str]] = {
     "a number to save to": (lambda t: t.save(3), "file to write is given as int: give its name"),
     "a robot where it is": (lambda t: fk.run(t, robot=t.robot), "--robot is Robot('frog2022'"),
+    "a seed that no log holds": (lambda t: fk.run(t, seed=2**63), "a whole number below 2^63"),
+    "a folder as a log": (lambda t: fk.run(t, out="."), "is a folder: name a file in it"),
+    "a log where none can be": (lambda t: fk.run(t, out="/proc/r.h5"), "cannot write '/proc/r.h5'"),
+    "a number as a plan": (lambda t: fk.run(t, plan=5), "5"),
+    "a number as a planner": (lambda t: fk.Planner(t, planner=5), "5"),
     "a seed with a point": (lambda t: fk.run(t, seed=1.5), "seed is 1.5: give 0 or more"),
     "seconds as text": (lambda t: fk.run(t, time_limit_s="30"), "simulated time is '30' s: give"),
     "a depth as text": (lambda t: fk.Planner(t, depth="3"), "--depth is '3', but the planner looks 1"),

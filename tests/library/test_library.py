@@ -147,6 +147,15 @@ def test_writing_back_gives_the_same_bytes(built: Path, tmp_path: Path) -> None:
     assert (tmp_path / "again.h5").read_bytes() == built.read_bytes()
 
 
+def test_a_library_that_cannot_be_written_leaves_the_one_before(built: Path, tmp_path: Path) -> None:
+    file = tmp_path / "lib.h5"
+    file.write_bytes(built.read_bytes())
+    with pytest.raises(TypeError):
+        write_library(replace(read_library(built), sampling=object()), file)
+    assert file.read_bytes() == built.read_bytes()
+    assert list(tmp_path.iterdir()) == [file]
+
+
 def test_truncated_libraries_are_refused_at_every_length(built: Path, tmp_path: Path) -> None:
     whole = built.read_bytes()
     for length in np.linspace(0, len(whole) - 1, 40).astype(int):
@@ -203,7 +212,14 @@ def test_foreign_and_changed_libraries_are_refused(built: Path, tmp_path: Path) 
 
 
 def test_bad_requests_are_refused_and_leave_nothing(tmp_path: Path) -> None:
-    for states, seed, workers in ((0, 1, 1), (70000, 1, 1), (5, -1, 1), (5, 1, 0), (5, 1, 9999)):
+    for states, seed, workers in (
+        (0, 1, 1),
+        (70000, 1, 1),
+        (5, -1, 1),
+        (5, 2**63, 1),
+        (5, 1, 0),
+        (5, 1, 9999),
+    ):
         with pytest.raises(InputError):
             build_library(ROBOT, states, seed, workers, tmp_path / "x.h5")
     assert list(tmp_path.iterdir()) == []

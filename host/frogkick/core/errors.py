@@ -25,7 +25,7 @@ class ConvergenceError(FrogkickError):
     """A numerical step did not converge or became non-finite; the text gives the state."""
 
 
-def nearest_name(given: str, known: Iterable[str]) -> str:
+def nearest_name(given: object, known: Iterable[str]) -> str:
     """Return ' (did you mean NAME?)' for the most similar known name, or '' if none is similar."""
-    close = difflib.get_close_matches(given, list(known), n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(given), list(known), n=1, cutoff=0.5)
     return f" (did you mean {close[0]!r}?)" if close else ""

@@ -24,7 +24,11 @@ def existing_file(path: Path | str, what: str) -> Path:
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"{what} is given as {type(path).__name__}: give a file's name")
     file = Path(path)
-    if not file.exists():
+    try:
+        there = file.exists()
+    except OSError as error:
+        raise InputError(f"{what} {str(path)!r} cannot be read: {error.strerror}; check the path") from None
+    if not there:
         raise InputError(f"{what} {str(path)!r} does not exist: check the path")
     if not file.is_file():
         raise InputError(f"{what} {str(path)!r} is not a file: name the file itself")
@@ -94,9 +98,14 @@ def sole_writer(out: Path | None) -> Iterator[None]:
     if out is None or not out.parent.is_dir():
         yield
         return
+    if out.is_dir():
+        raise InputError(f"cannot write {str(out)!r}: it is a folder; name a file in it")
     lock = out.with_name(f".{out.name}.lock")
     while True:
-        file = lock.open("w")
+        try:
+            file = lock.open("w")
+        except OSError as error:
+            raise InputError(f"cannot write {str(out)!r}: {error.strerror}; choose another --out") from None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -168,13 +177,12 @@ def write_text(target: Path | str, content: str) -> None:
 
 def require_room(target: Path | str, size: int) -> None:
     """Raise an error if the disk has no room for a file of ``size`` bytes."""
-    with atomic_path(target) as temporary:
-        free = shutil.disk_usage(temporary.parent).free
-        if free < size:
-            raise InputError(
-                f"cannot write {str(target)!r}: it takes {size / 1e6:.1f} MB, and {free / 1e6:.1f} MB are "
-                "free there; make room or choose another --out"
-            )
+    free = shutil.disk_usage(next(place for place in Path(target).absolute().parents if place.exists())).free
+    if free < size:
+        raise InputError(
+            f"cannot write {str(target)!r}: it takes {size / 1e6:.1f} MB, and {free / 1e6:.1f} MB are "
+            "free there; make room or choose another --out"
+        )
 
 
 @contextmanager

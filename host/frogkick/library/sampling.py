@@ -169,8 +169,8 @@ def sample_starts(
     """
     if not isinstance(states, int | np.integer) or not 1 <= states <= STATES_MAX:
         raise InputError(f"states is {states!r}: give 1 to {STATES_MAX}, a whole number")
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number")
+    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
+        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number below 2^63, as files hold it")
     if sampling == "box":
         return rigid_starts(robot, box_velocities(robot, states, seed))
     visited = VisitedStates(robot)

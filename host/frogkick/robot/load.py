@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -81,7 +82,7 @@ def load_robot(name_or_path: Robot | str | Path) -> Robot:
     text = str(name_or_path)
     if text in built_in_robots():
         path = BUILT_IN / f"{text}.toml"
-    elif "/" not in text and not text.endswith(".toml") and not Path(text).exists():
+    elif "/" not in text and not text.endswith(".toml") and not os.path.exists(text):
         known = ", ".join(built_in_robots())
         raise InputError(
             f"no robot {text!r}{nearest_name(text, built_in_robots())}: name a TOML file or one of {known}"

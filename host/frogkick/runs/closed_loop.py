@@ -105,8 +105,8 @@ def configure(session: Session, config: PlanConfig, learn: bool) -> tuple[int, .
 
 def require_seed(seed: int) -> None:
     """Raise InputError unless a seed is a whole number of 0 or more."""
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number")
+    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
+        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number below 2^63, as files hold it")
 
 
 def require_time(limit_s: float) -> None:

@@ -290,3 +290,28 @@ def test_a_method_that_gives_nonsense_is_named(tmp_path: Path) -> None:
     bad = make_effect({"file": "bad.py"}, tmp_path)
     with pytest.raises(InputError, match=r"'Bad': flow gave 1\.0, needed are 2 finite numbers"):
         swim([bad])
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("flow(self, time_s, position_world_m):\n        return 1 / 0", "flow fails: ZeroDivisionError"),
+        ("wrench(self, time_s):\n        return 0, 0, 0", "wrench fails: TypeError"),
+        (
+            "stroke(self, stroke, history, rng):\n        return 5",
+            "stroke gave 5, needed is a Stroke or None",
+        ),
+    ],
+)
+def test_a_method_that_fails_is_named(tmp_path: Path, method: str, words: str) -> None:
+    (tmp_path / "bad.py").write_text(f"class Bad:\n    def {method}\n")
+    with pytest.raises(InputError, match=f"effect 'Bad': {words}") as caught:
+        swim([make_effect({"file": "bad.py"}, tmp_path)])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_fix_that_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text("class Bad:\n    def fix(self, fix, rng):\n        return 'x'\n")
+    acting = Acting([make_effect({"file": "bad.py"}, tmp_path)], ROBOT, [RNG])
+    with pytest.raises(InputError, match="'Bad': fix gave 'x', needed is a Fix or None"):
+        acting.fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0))

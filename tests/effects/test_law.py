@@ -359,6 +359,8 @@ def test_a_robot_s_file_has_a_law_and_keeps_it(tmp_path: Path) -> None:
             {"forward_n": "k", "parameters": {"k": {"value": 2.0, "unit": "N", "low": 0, "high": 1}}},
             "0 to 1 N",
         ),
+        ({"forward_n": "k", "parameters": {"k": 1.0}}, "give each a value and a unit"),
+        ({"forward_n": "k", "parameters": [1.0]}, "give each a value and a unit"),
         ({"forward_n": "k", "parameters": {"k": {"value": "a", "unit": "N"}}}, "finite number"),
         ({"forward_n": "x_m", "parameters": {"x_m": {"value": 1.0, "unit": "N"}}}, "a name that is taken"),
         ({"forward_n": "0", "parameters": {"a b": {"value": 1.0, "unit": "N"}}}, "is no name"),

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from frogkick.effects.base import Body, Effect, History, Stroke
 from frogkick.effects.law import Law
 from frogkick.effects.registry import effects_of
 from frogkick.robot import Action, Robot
+
+Kind = TypeVar("Kind")
 
 LEG_S = 0.02
 """Zero-order hold: flows and wrenches are constant for this time, and are then evaluated again."""
@@ -108,7 +111,8 @@ class Acting:
         """
         stroke = Stroke(self._names[limb], limb, time_s, body=body)
         for effect in self.effects:
-            stroke = effect.stroke(stroke, self.histories[lane], self._rngs[lane]) or stroke
+            given = _called(effect, "stroke", stroke, self.histories[lane], self._rngs[lane])
+            stroke = _of_kind(Stroke, effect, "stroke", given) or stroke
         self.histories[lane].strokes.append((time_s, limb))
         if not all(math.isfinite(v) for v in (stroke.gain, stroke.delay_s, stroke.duration_scale)):
             raise InputError(f"effects {self.effects} give a stroke of {stroke}: values must be finite")
@@ -172,7 +176,7 @@ class Acting:
         for effect in self.effects:
             if seen is None:
                 return None
-            seen = effect.fix(seen, self._rngs[0])
+            seen = _of_kind(Fix, effect, "fix", _called(effect, "fix", seen, self._rngs[0]))
         return seen
 
     def water(self, batch: Batch, time_s: float, pose: Float64, velocity: Float64) -> Water:
@@ -200,7 +204,7 @@ class Acting:
     def _flow(self, time_s: float, position_m: Float64) -> tuple[float, float]:
         x, y = 0.0, 0.0
         for effect in self._flows:
-            more_x, more_y = _numbers(effect, "flow", effect.flow(time_s, position_m), 2)
+            more_x, more_y = _numbers(effect, "flow", _called(effect, "flow", time_s, position_m), 2)
             x, y = x + more_x, y + more_y
         return x, y
 
@@ -213,7 +217,7 @@ class Acting:
         seen, heading = body_at(time_s, pose, velocity), float(pose[2])
         forward, left, torque = 0.0, 0.0, 0.0
         for effect in self._wrenches:
-            along, aside, turn = _numbers(effect, "wrench", effect.wrench(time_s, seen), 3)
+            along, aside, turn = _numbers(effect, "wrench", _called(effect, "wrench", time_s, seen), 3)
             forward, left, torque = forward + along, left + aside, torque + turn
         force_x, force_y = rotate(heading, forward, left)
         return force_x / batch.mass_kg, force_y / batch.mass_kg, torque / batch.inertia_kg_m2
@@ -239,6 +243,24 @@ def body_at(time_s: float, pose: Float64, velocity: Float64) -> Body:
     x, y, heading = (float(value) for value in pose)
     forward, left, omega = (float(value) for value in velocity)
     return Body(time_s, (x, y, heading), (forward, left, omega))
+
+
+def _called(effect: Effect, hook: str, *given: Any) -> Any:
+    """Return what an effect's method gives; an error in a user's file is an ``InputError``."""
+    try:
+        return getattr(effect, hook)(*given)
+    except Exception as error:
+        if isinstance(error, InputError) or type(effect).__module__.startswith("frogkick."):
+            raise
+        raise InputError(
+            f"effect {effect.title!r}: {hook} fails: {type(error).__name__}: {error}; correct its file"
+        ) from error
+
+
+def _of_kind(kind: type[Kind], effect: Effect, hook: str, given: object) -> Kind | None:
+    if given is None or isinstance(given, kind):
+        return given
+    raise InputError(f"effect {effect.title!r}: {hook} gave {given!r}, needed is a {kind.__name__} or None")
 
 
 def _numbers(effect: Effect, hook: str, given: object, count: int) -> Sequence[float]:

@@ -101,7 +101,12 @@ class Law(Effect):
         if on not in CHANNELS:
             raise InputError(f"a law on {on!r}{nearest_name(str(on), CHANNELS)}: give {', '.join(CHANNELS)}")
         self.on, self.limb, self._title = on, limb, str(title)
-        declared = {name: dict(given) for name, given in (parameters or {}).items()}
+        declared = {} if parameters is None else parameters
+        if not isinstance(declared, Mapping) or not all(isinstance(p, Mapping) for p in declared.values()):
+            raise InputError(
+                f"a law's parameters are {declared!r}: give each a value and a unit, as "
+                "{ drag = { value = 0.04, unit = 'N s/m' } }"
+            )
         self.parameters = tuple(_parameter(name, given) for name, given in declared.items())
         units = {p.name: unit_of(p.unit) for p in self.parameters}
         known = {name: unit_of(unit) for name, unit in NAMES[on].items()}

@@ -120,7 +120,8 @@ def _own(path: Path, name: object, values: dict[str, Any]) -> Effect:
         )
     kind = kinds[str(name)]
     if not issubclass(kind, Effect):
-        kind = type(kind.__name__, (kind, Effect), {"__init__": kind.__init__})
+        own = {"__init__": kind.__init__, "__module__": kind.__module__}
+        kind = type(kind.__name__, (kind, Effect), own)
     try:
         made: Effect = kind(**values)
     except InputError:

@@ -88,6 +88,10 @@ def test_who_gives_more_points_is_told_what_becomes_of_them(tmp_path: pathlib.Pa
         ("1,2\n3\n", "row 2 has 1 columns"),
         ("1,2,0,0\n3,4,1,1\n", "row 1: the tangent"),
         ("1,2\0\n3,4\n", "not text"),
+        ("x;y\n0,1;0,2\n", "separated by ';': write commas"),
+        ("0;0\n1;0\n", "separated by ';': write commas"),
+        ("x\ty\n0\t0\n", "separated by '.t': write commas"),
+        ("0,0\n1e308,0\n-1e308,1\n", "point 1 lies at .1e.308, 0. m, the limit is 1000 m"),
         ("0,0\n450,0\n", "450 m, more than 50 m: columns are in metres, are these mm"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pathlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -175,6 +176,24 @@ def test_bad_arrays() -> None:
         Path.from_arrays([0, 1], [0, 0], [0, math.nan])
     with pytest.raises(InputError, match="2 x, 2 y and 3 tangents"):
         Path.from_arrays([0, 1], [0, 0], [0, 0, 0])
+
+
+@pytest.mark.parametrize("wrong", ["x", None, [1.0], 1j, (0.0, 0.0), [[0.0, "a"]], (x for x in "a")])
+def test_what_is_no_number_is_told(wrong: Any) -> None:
+    for mistake in (
+        lambda: line(wrong),
+        lambda: line(points=wrong),
+        lambda: ellipse(aspect=wrong),
+        lambda: ellipse(turns=wrong),
+        lambda: shape(wrong),
+        lambda: line().place(wrong),
+        lambda: line().motion_to(wrong),
+        lambda: line().distance_m(wrong),
+        lambda: line().nearest_index(wrong),
+    ):
+        with pytest.raises(InputError) as caught:
+            mistake()
+        assert "\n" not in str(caught.value)
 
 
 def test_arrays_are_kept_from_changes() -> None:

@@ -73,6 +73,12 @@ def _read(file: pathlib.Path | str) -> tuple[Path, Float64]:
         raise InputError(f"path file {name!r} line {reader.line_num} is not CSV: {error}") from error
     if not rows:
         raise InputError(f"path file {name!r} holds no rows: give at least 2 points")
+    wrong = [mark for mark in ";\t" if any(mark in cell for cell in rows[0][1])]
+    if wrong:
+        raise InputError(
+            f"path file {name!r}: the columns are separated by {wrong[0]!r}: write commas between them, and "
+            "numbers with a decimal point"
+        )
     columns = _header(rows[0][1], name)
     if columns is None:
         width = len(rows[0][1])

@@ -32,6 +32,20 @@ def require_points(name: str, count: int) -> None:
         raise InputError(f"path {name!r} has 1 point: give at least 2 points")
 
 
+def require_near(name: str, x_m: Float64, y_m: Float64) -> None:
+    """Raise an error if a point lies where the planner refuses a position.
+
+    Raises:
+        InputError: one does.
+    """
+    far = np.flatnonzero((np.abs(x_m) > COORDINATE_MAX_M) | (np.abs(y_m) > COORDINATE_MAX_M))
+    if far.size:
+        raise InputError(
+            f"path {name!r}: point {far[0]} lies at ({x_m[far[0]]:g}, {y_m[far[0]]:g}) m, the limit is "
+            f"{COORDINATE_MAX_M:g} m: give metres, not millimetres"
+        )
+
+
 def no_length(name: str, count: int) -> InputError:
     """Return the error for a path whose points coincide."""
     return InputError(f"path {name!r} has no length (all {count} points coincide): give distinct points")
@@ -75,12 +89,7 @@ class Path:
                 f"path {self.name!r} has {x.size} points, the limit is {POINTS_MAX}: "
                 "resample it (from_waypoints)"
             )
-        far = np.flatnonzero((np.abs(x) > COORDINATE_MAX_M) | (np.abs(y) > COORDINATE_MAX_M))
-        if far.size:
-            raise InputError(
-                f"path {self.name!r}: point {far[0]} lies at ({x[far[0]]:g}, {y[far[0]]:g}) m, the limit is "
-                f"{COORDINATE_MAX_M:g} m: give metres, not millimetres"
-            )
+        require_near(self.name, x, y)
         rounded = wrap_angle(tangent).astype(np.float32)
         rounded[rounded <= np.float32(-np.pi)] = np.float32(np.pi)  # the range is (-pi, pi]
         columns = {"x_m": x.astype(np.float32), "y_m": y.astype(np.float32), "tangent_rad": rounded}
@@ -151,8 +160,12 @@ class Path:
         return np.column_stack([x + beyond_m * math.cos(last), y + beyond_m * math.sin(last), heading])
 
     def motion_to(self, pose_world: Sequence[float]) -> tuple[float, float, float]:
-        """The pose for ``place`` at which the path begins at a pose (x m, y m, heading rad)."""
-        x_m, y_m, heading_rad = pose_world
+        """The pose for ``place`` at which the path begins at a pose (x m, y m, heading rad).
+
+        Raises:
+            InputError: the pose is not three finite numbers.
+        """
+        x_m, y_m, heading_rad = (float(value) for value in self._pose(pose_world))
         turn = heading_rad - float(self.tangent_rad[0])
         first_x, first_y = rotate(turn, float(self.x_m[0]), float(self.y_m[0]))
         return float(x_m) - first_x, float(y_m) - first_y, turn
@@ -163,14 +176,20 @@ class Path:
         Raises:
             InputError: the pose is not three finite numbers.
         """
-        pose = np.asarray(pose_world, dtype=np.float64)
-        if pose.shape != (3,) or not np.isfinite(pose).all():
-            raise InputError(
-                f"path {self.name!r} cannot be placed at {pose.tolist()}: give x m, y m, heading rad"
-            )
+        pose = self._pose(pose_world)
         points = world_from_body(pose[2], self.points_m) + pose[:2]
         tangent = self.tangent_rad.astype(np.float64) + pose[2]
         return Path.from_arrays(points[:, 0], points[:, 1], tangent, self.name)
+
+    def _pose(self, pose_world: ArrayLike) -> Float64:
+        try:
+            pose = np.asarray(pose_world, dtype=np.float64)
+        except (TypeError, ValueError):
+            pose = None
+        if pose is None or pose.shape != (3,) or not np.isfinite(pose).all():
+            shown = pose_world if pose is None else pose.tolist()
+            raise InputError(f"path {self.name!r} cannot be placed at {shown}: give x m, y m, heading rad")
+        return pose
 
     def distance_m(self, points_world_m: ArrayLike) -> Float64:
         """(k,) distances, m, of (k, 2) points in the world to the polyline's segments."""
@@ -196,7 +215,10 @@ class Path:
 
 
 def _as_points(points_world_m: ArrayLike) -> Float64:
-    points = np.asarray(points_world_m, dtype=np.float64)
+    try:
+        points = np.asarray(points_world_m, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("points are not numbers: give (k, 2), metres in the world frame") from None
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"points have shape {points.shape}: give (k, 2), metres in the world frame")
     return points

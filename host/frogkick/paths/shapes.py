@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import body_from_world
-from frogkick.paths.path import POINTS_MAX, Path, along_m, no_length, require_points
+from frogkick.paths.path import POINTS_MAX, Path, along_m, no_length, require_near, require_points
 
 # Sizes near those of the recorded runs, which fit the authors' pool.
 LINE_LENGTH_M = 0.45
@@ -45,7 +45,7 @@ EIGHT_TURNS = 0.96
 
 
 def _check_points(points: int, name: str) -> int:
-    if not 2 <= points <= POINTS_MAX:
+    if not isinstance(points, int | np.integer) or not 2 <= points <= POINTS_MAX:
         raise InputError(f"{name}: {points} points: give 2 to {POINTS_MAX}")
     return points
 
@@ -53,9 +53,13 @@ def _check_points(points: int, name: str) -> int:
 def _checked(name: str, length_m: float, points: int) -> tuple[float, Float64]:
     """Return the length, and the parameter s of the points, from 0 to 1."""
     s = np.linspace(0.0, 1.0, _check_points(points, name))
-    if not (np.isfinite(length_m) and length_m > 0.0):
+    if not (_is_finite(length_m) and length_m > 0.0):
         raise InputError(f"{name}: length {length_m} m: give a finite length above 0 m")
     return float(length_m), s
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and bool(np.isfinite(value))
 
 
 def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
@@ -107,9 +111,9 @@ def ellipse(
         points: number of points, 2 to 100.
     """
     length, s = _checked("ellipse", length_m, points)
-    if not (np.isfinite(aspect) and aspect > 0.0):
+    if not (_is_finite(aspect) and aspect > 0.0):
         raise InputError(f"ellipse: aspect {aspect}: give a finite ratio above 0")
-    if not 0.0 < turns <= 1.0:
+    if not (_is_finite(turns) and 0.0 < turns <= 1.0):
         raise InputError(f"ellipse: {turns} turns: give a part of one turn, above 0 to 1")
     angle, a = 2.0 * np.pi * turns * s, 0.5 * length
     b = a / aspect * (1.0 if clockwise else -1.0)
@@ -159,7 +163,7 @@ def shape(name: str, length_m: float | None = None) -> Path:
         InputError: no such shape, or a bad length.
     """
     known = SHAPES | OTHER_SHAPES
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         raise InputError(
             f"no path shape is called {name!r}{nearest_name(name, known)}: use {', '.join(known)} or a file"
         )
@@ -199,6 +203,7 @@ def from_waypoints(
             "every coordinate must be a finite number"
         )
     require_points(name, len(given))
+    require_near(name, given[:, 0], given[:, 1])
     distinct = np.concatenate([[True], (np.diff(given, axis=0) != 0.0).any(axis=1)])
     knots = given[distinct]
     if len(knots) < 2:

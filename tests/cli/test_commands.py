@@ -142,6 +142,7 @@ def test_tables_build_and_info(here: Path, library: Path, capsys: Capture) -> No
     assert {**done.json, "out": None} == {**info.json, "out": None}
     quick = frogkick(capsys, "tables", "info", "x.fkt", "--robot", "frog2022", "--test-states", "0", "--json")
     assert quick.json["error"] is None
+    assert quick.json["sampling"] is None
 
 
 @from_ci

@@ -216,7 +216,7 @@ def show_table(
     else:
         if test_states:
             error = table.error(test_states, seed, sampling.value, progress=True)
-    show({**facts, "error": error, "sampling": sampling.value}, json)
+    show({**facts, "error": error, "sampling": sampling.value if error else None}, json)
 
 
 def codegen(

@@ -99,8 +99,10 @@ def _limb_warnings(robot: Robot) -> list[str]:
     over = [
         limb.name
         for limb in robot.limbs
-        for i in (limb.corner, (limb.corner - 1) % n)
-        if crossings(limb_points(robot.frame, limb), _edge(robot.frame, i)).any()
+        if any(
+            crossings(limb_points(robot.frame, limb), _edge(robot.frame, i)).any()
+            for i in (limb.corner, (limb.corner - 1) % n)
+        )
     ]
     if over:
         found.append(f"{_names(over)}: curled over the frame edge at its root; no contact is simulated")

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import frogkick as fk
+from frogkick.front.retune_tables import TableMaker
 
 MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
     "an action's number": (lambda _: fk.simulate("frog2022", [1]), "no action 1: choose from A, B"),
@@ -51,6 +52,11 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
         "x_m is not a row of numbers: give x_m",
     ),
     "a folder to save to": (lambda robot: robot.save("."), "cannot write '.': it is a folder"),
+    "a retune of too many states": (
+        lambda _: TableMaker(10**9, 0, 1),
+        "states is 1000000000: give 1 to 65535",
+    ),
+    "a retune with a negative seed": (lambda _: TableMaker(800, -1, 1), "seed is -1: give 0 or more"),
     "a table as runs": (lambda robot: fk.identify(robot, test=[robot]), "runs are given as Robot: give runs"),
     "a run to train on and to test": (
         lambda _: fk.identify(["a.h5", "b.h5"], test="./b.h5"),

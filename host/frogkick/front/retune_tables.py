@@ -21,6 +21,7 @@ from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.library import build_library, fit_table
 from frogkick.library.fitting import looked_up
+from frogkick.library.sampling import require_draw
 from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import config_of
 from frogkick.pool.native_robot import NativeRobot
@@ -85,6 +86,9 @@ class TableMaker:
     count: int
     seed: int
     workers: int
+
+    def __post_init__(self) -> None:
+        require_draw(self.count, self.seed)  # here, because the identification before it takes minutes
 
     def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
         """Simulate a robot's library into a file, and make the table image of it."""

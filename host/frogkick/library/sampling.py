@@ -144,6 +144,18 @@ SAMPLINGS = ("box", "visited", "planned")
 _PLANNED_BATCHES_MAX = 1000
 
 
+def require_draw(states: int, seed: int) -> None:
+    """Raise an error if no library has this number of states, or no file holds this seed.
+
+    Raises:
+        InputError: states outside of 1 to 65535, or a seed that is negative or too large.
+    """
+    if not isinstance(states, int | np.integer) or not 1 <= states <= STATES_MAX:
+        raise InputError(f"states is {states!r}: give 1 to {STATES_MAX}, a whole number")
+    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
+        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number below 2^63, as files hold it")
+
+
 def sample_starts(
     robot: Robot,
     states: int,
@@ -167,10 +179,7 @@ def sample_starts(
             too few states.
         ConvergenceError: a planned swim could not be simulated.
     """
-    if not isinstance(states, int | np.integer) or not 1 <= states <= STATES_MAX:
-        raise InputError(f"states is {states!r}: give 1 to {STATES_MAX}, a whole number")
-    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**63:
-        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number below 2^63, as files hold it")
+    require_draw(states, seed)
     if sampling == "box":
         return rigid_starts(robot, box_velocities(robot, states, seed))
     visited = VisitedStates(robot)

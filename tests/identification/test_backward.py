@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made import make_swim, robot, term
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.backward import (
@@ -67,7 +67,6 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
 
 
 @from_ci
-@few_pieces
 @pytest.mark.parametrize("delayed_first", [True, False])
 def test_a_constant_that_pauses_is_said_as_a_law_at_intervals(delayed_first: bool) -> None:
     swims = [make_swim([], seed, 12) for seed in (4, 5)]

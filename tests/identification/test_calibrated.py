@@ -130,7 +130,7 @@ def test_a_core_with_strays_is_no_worse_than_predictions_that_are_all_bad() -> N
 def ends_of(residuals: np.ndarray) -> Any:
     """A track and a run that differ by so much at the ends of periods, seen along the world's axes."""
     none, nothing = np.empty(0), np.zeros((len(residuals), 6))
-    rollout = Rollout(none, none, none, none, nothing[:, :3], nothing, none, failed=False)
+    rollout = Rollout(none, none, none, nothing[:, :3], nothing, none, failed=False)
     return [rollout], [SimpleNamespace(measured=residuals)]
 
 

@@ -38,7 +38,7 @@ def made_run(
     swim.__dict__["measured"] = world  # as the fixes around each end would tell it
     nothing = np.zeros((periods, 3))
     residuals = np.column_stack([np.zeros((periods, 6)), body])
-    rollout = Rollout(start_s, nothing, nothing, nothing, nothing, start, residuals, False)
+    rollout = Rollout(start_s, nothing, nothing, nothing, start, residuals, False)
     return swim, rollout, body
 
 

@@ -245,9 +245,8 @@ def fix_innovations(fitted: Fitted, swims: Sequence[Segments]) -> dict[str, Any]
     """Innovations of the fixes in units of their robust standard deviation, and how heavy their tails are."""
     parts, names, times = [], [], []
     for rollout, swim in zip(fitted.rollouts, swims, strict=True):
-        size = rollout.innovation / np.sqrt(rollout.variance)
-        known = np.isfinite(size).all(axis=1)
-        parts.append(size[known])
+        known = np.isfinite(rollout.innovation).all(axis=1)
+        parts.append(rollout.innovation[known])
         names += [swim.name] * int(known.sum())
         times.append(rollout.time_s[known])
     every = np.concatenate(parts)

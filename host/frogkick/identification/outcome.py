@@ -400,10 +400,9 @@ def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Ter
         if "file" in row and outcome.robot.folder is not None:
             row["file"] = os.path.relpath(outcome.robot.folder / str(row["file"]), place)
     for term in outcome.terms if terms is None else terms:
-        row = dict(term.table)
+        row = term.toml
         if "file" in row:
             row["file"] = os.path.relpath(term.folder / str(row["file"]), place)
-        row.update({p.name: float(v) for p, v in zip(term.parameters, term.values, strict=True)})
         effects.append(row)
     if effects:
         table["effect"] = effects

@@ -45,8 +45,7 @@ class Rollout:
     """The prediction of one run by one model."""
 
     time_s: Float64  # (n,) capture times of the fixes
-    innovation: Float64  # (n, 3) innovations of the fixes (m, m, rad)
-    variance: Float64  # (n, 3) of the innovations
+    innovation: Float64  # (n, 3) innovations of the fixes, in standard deviations
     difference: Float64  # (n, 3) fix minus a trajectory that was never corrected: for the fit of the noise
     predicted: Float64  # (m, 3) pose at each period's end as the camera would show it, NaN where none
     start: Float64  # (m, 6) pose (world) and velocity (body) at each period's start
@@ -120,7 +119,7 @@ class LaneState:
         self.predicted = np.full((periods, 3), np.nan)
         self.start = np.full((periods, 6), np.nan)
         self.residuals = np.full((periods, 3 * len(PHASES)), np.nan)
-        self.rows = [(np.empty(0), *[np.empty((0, 3))] * 3)]  # of each correction, for Rollout
+        self.rows = [(np.empty(0), *[np.empty((0, 3))] * 2)]  # of each correction, for Rollout
         self.failed = False
 
     @property
@@ -131,13 +130,11 @@ class LaneState:
 
     def rollout(self) -> Rollout:
         """Its prediction, at the end."""
-        time_s, innovation, variance, difference = (
-            np.concatenate(parts) for parts in zip(*self.rows, strict=True)
-        )
+        time_s, innovation, difference = (np.concatenate(parts) for parts in zip(*self.rows, strict=True))
         if self.failed:
             innovation = np.full_like(innovation, np.nan)
-        fixes = time_s, innovation, variance, difference
-        return Rollout(*fixes, self.predicted, self.start, self.residuals, self.failed)
+        ends = self.predicted, self.start, self.residuals
+        return Rollout(time_s, innovation, difference, *ends, self.failed)
 
 
 class RolloutBatch:
@@ -259,7 +256,7 @@ class RolloutBatch:
             differences = swim.pose[first : lane_state.next_fix] - shown
             innovations, variances = lane_state.filter.update_all(true_s, differences)
             unbroken = differences + lane_state.moved[:, 0] + true_s[:, None] * lane_state.moved[:, 1]
-            lane_state.rows.append((true_s, innovations, variances, unbroken))
+            lane_state.rows.append((true_s, innovations / np.sqrt(variances), unbroken))
         if ended >= 0:
             length_s = float(swim.end_s[ended] - swim.start_s[ended])
             share = (times_s - float(swim.start_s[ended])) / length_s

@@ -52,11 +52,10 @@ class Term:
     def title(self) -> str:
         """Its name with its options: ``limb_wear rear_left``."""
         keys = dict(self.table)
-        if keys.get("name") == "law":
+        if self.name == "law":
             return " ".join(str(keys[key]) for key in ("title", "limb") if key in keys)
-        name = keys.pop("name", None) or keys.get("class")
-        keys.pop("file", None), keys.pop("class", None)
-        return " ".join([str(name), *(str(value) for value in keys.values())])
+        options = (value for key, value in keys.items() if key not in ("name", "file", "class"))
+        return " ".join([self.name, *map(str, options)])
 
     @property
     def name(self) -> str:
@@ -73,10 +72,15 @@ class Term:
         limb = {key: value for key, value in self.table if key == "limb"}
         return {"title": self.title, **limb, "law": keys}
 
+    @property
+    def toml(self) -> dict[str, Any]:
+        """Its TOML with the values of its parameters."""
+        values = {p.name: float(v) for p, v in zip(self.parameters, self.values, strict=True)}
+        return {**dict(self.table), **values}
+
     def effect(self) -> Effect:
         """The effect itself."""
-        given = {p.name: float(v) for p, v in zip(self.parameters, self.values, strict=True)}
-        return make_effect({**dict(self.table), **given}, self.folder)
+        return make_effect(self.toml, self.folder)
 
     def at(self, values: Sequence[float] | Float64) -> Term:
         """The same with other values, clipped to their bounds."""

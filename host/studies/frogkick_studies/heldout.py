@@ -28,7 +28,7 @@ from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
-from frogkick.identification.batching import run_concurrently
+from frogkick.identification.batching import all_of
 from frogkick.identification.calibrated import end_errors
 from frogkick.identification.outcome import identify, robot_of_runs
 from frogkick.identification.predict import Rollout
@@ -102,7 +102,7 @@ def held_out(
     swims = tuple(read_segments(run, robot) for run in runs)
     for swim in swims:
         reliable([swim])
-    job = Job(_Ready, (robot, tuple(runs), swims, effects), _run, lambda _ready: None)
+    job = Job(partial, (_test_on, robot, tuple(runs), swims, effects), _run, lambda _test: None)
     kept: dict[int, HeldOut] = {}
     progress(0, len(runs))
     for index, results in run_chunks(job, groups, workers):
@@ -125,33 +125,20 @@ def pooled(errors: Sequence[PredictionError], periods: Sequence[int]) -> Predict
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Ready:
-    robot: Robot
-    runs: tuple[Path, ...]
-    swims: tuple[Segments, ...]
-    effects: Path | None
-
-
-def _run(ready: _Ready, group: Sequence[int]) -> list[HeldOut]:
+def _run(test: Callable[[int], HeldOut], group: Sequence[int]) -> list[HeldOut]:
     """Process several runs with their simulations in shared batches; the results are those of single runs."""
-    done = dict(run_concurrently([partial(_test_on, ready, index) for index in group]))
-    return [done[k] for k in range(len(group))]
+    return all_of([partial(test, index) for index in group])
 
 
-def _test_on(ready: _Ready, index: int) -> HeldOut:
-    swims = ready.swims
-    outcome = identify(
-        swims[:index] + swims[index + 1 :],
-        swims[index : index + 1],
-        ready.robot,
-        ready.effects,
-        measured=False,
-    )
+def _test_on(
+    robot: Robot, runs: Sequence[Path], swims: Sequence[Segments], effects: Path | None, index: int
+) -> HeldOut:
+    others = [*swims[:index], *swims[index + 1 :]]
+    outcome = identify(others, swims[index : index + 1], robot, effects, measured=False)
     tested = outcome.tested
     titles = tuple(term.title for term in outcome.terms)
     return HeldOut(
-        ready.runs[index],
+        runs[index],
         outcome.verdict,
         titles,
         tested.before,

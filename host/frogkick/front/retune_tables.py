@@ -51,10 +51,6 @@ class Tracked:
     completed: int  # runs that reached its end
     runs: int
 
-    def as_json(self) -> dict[str, float | int]:
-        """One of ``closed_loop``."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Lost:
@@ -74,8 +70,8 @@ class Lost:
         """The key ``lost`` of the command."""
         return {
             "effects": list(self.effects),
-            "with": self.with_them.as_json(),
-            "without": self.without.as_json(),
+            "with": asdict(self.with_them),
+            "without": asdict(self.without),
         }
 
 

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -101,7 +101,7 @@ class Retuning:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``retune``."""
-        loop = None if self.loop is None else [each.as_json() for each in self.loop]
+        loop = None if self.loop is None else [asdict(each) for each in self.loop]
         return {
             "verdict": self.outcome.verdict,
             "effects": self.outcome.effects_as_json(),

@@ -33,9 +33,8 @@ few_pieces = pytest.mark.few_pieces
 LEFT_OUT = "slow tests that are left out: FK_LEVEL=ci runs them"
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for; ``LEFT_OUT`` -> number of tests."""
-if (
-    __name__ != "tests.conftest"
-):  # pytest loads this file under another name than tests: both write to the same
+# pytest loads this file under another name than tests do: both share these.
+if __name__ != "tests.conftest":
     from tests.conftest import counted, few_at_ci
 
 # A case takes as long as the machine lets it. The same cases everywhere; make test-full looks for others.

@@ -221,6 +221,18 @@ def test_an_effect_that_remembers_begins_anew_with_each_run(table: fk.Table) -> 
     assert np.array_equal(first.log.truth.pose_world, second.log.truth.pose_world)
 
 
+def test_runs_of_one_seed_along_different_paths_have_different_noise(table: fk.Table) -> None:
+    """Identification takes their fixes for independent; runs along one path are compared, so theirs is the same."""
+    runs = [fk.run(table, path, seed=3, time_limit_s=1.0).log for path in ("line", "sine", "line")]
+    at_rest = [
+        np.array([run.fixes.x_m[:5] - run.path.x_m[0], run.fixes.y_m[:5] - run.path.y_m[0]])
+        for run in runs
+        if run.path is not None
+    ]
+    assert np.array_equal(at_rest[0], at_rest[2])
+    assert np.abs(at_rest[0] - at_rest[1]).min() > 1e-6
+
+
 def test_places_and_planners_that_there_are_not(table: fk.Table, robot: fk.Robot) -> None:
     for given, text in (
         ({"robot": "pol"}, "did you mean 'pool'"),

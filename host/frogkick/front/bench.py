@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
@@ -29,6 +27,7 @@ from frogkick.link.wire import FORMS, Wire, is_target, parse_target
 from frogkick.paths import Path as SwimPath
 from frogkick.paths.hold import hold_at_end
 from frogkick.planner.plan import PlanConfig
+from frogkick.pool.camera import noise_of_run
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, run_session
@@ -247,7 +246,7 @@ class Bench:
             yield LineFixes(sys.stdin.fileno(), "standard input"), None
             return
         if self.fixes == POOL:
-            rng = np.random.default_rng(self.seed)
+            rng = noise_of_run(self.seed, path.name, len(path))
             yield PoolFixes(robot, tables, start_pose(path), rng, self.rate_hz, self.world), None
             return
         calibration = read_calibration(Path(self.fixes))

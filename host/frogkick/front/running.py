@@ -54,6 +54,7 @@ from frogkick.front.viewing import played, viewed
 from frogkick.link.wire import Wire, is_target
 from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
+from frogkick.pool.camera import noise_of_run
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed, require_time, run_session
@@ -269,7 +270,7 @@ def run(
         then: paths that take over without a stop: "ellipse@20" or ("ellipse", 20.0) at 20 s after the first
             decision; "ellipse@20@here", ("ellipse", 20.0, "here"): it begins where the robot then is.
         hold: at its path's end the robot circles it until a later path takes over or the run is ended.
-        seed: seed of the simulated camera's noise.
+        seed: seed of the simulated camera's noise, which differs from path to path.
         time_limit_s: time limit, s; of the pool if that is simulated.
         fix_rate_hz: simulated position fixes per second.
         fixes: of a real robot: camera.toml, "stdin" (lines ``x_m y_m heading_rad [age_s]``) or "pool".
@@ -339,7 +340,8 @@ def run(
                 )
             recording.made = made_of(described, used.tables, _now_unix_s())
             recording.seed = seed
-            recording.pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
+            rng = noise_of_run(seed, desired.name, len(desired))
+            recording.pool = Pool(described, start_pose(desired), eye, rng, true)
             draw = stack.enter_context(viewed(view, recording, stop=stopped.set))
             with keeps_partial_log(target, recording):
                 run_session(Session(port), recording.pool, recording, said.progress, draw)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,6 +43,15 @@ class Camera:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"camera {name} is {value}, allowed is {low} to {high}")
+
+
+def noise_of_run(seed: int, path_name: str, points: int) -> np.random.Generator:
+    """Random numbers of a run along a path.
+
+    With one seed, runs along different paths have different noise, because identification takes the fixes of
+    several runs for independent. Runs along one path have the same noise, so that they can be compared.
+    """
+    return np.random.default_rng([seed, zlib.crc32(f"{path_name} {points}".encode())])
 
 
 def measure(

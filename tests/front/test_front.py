@@ -222,7 +222,7 @@ def test_an_effect_that_remembers_begins_anew_with_each_run(table: fk.Table) -> 
 
 
 def test_runs_of_one_seed_along_different_paths_have_different_noise(table: fk.Table) -> None:
-    """Identification takes their fixes for independent. Runs along one path are compared: theirs is the same."""
+    """Identification takes their fixes for independent. Runs along one path can be compared."""
     runs = [fk.run(table, path, seed=3, time_limit_s=1.0).log for path in ("line", "sine", "line")]
     at_rest = [
         np.array([run.fixes.x_m[:5] - run.path.x_m[0], run.fixes.y_m[:5] - run.path.y_m[0]])

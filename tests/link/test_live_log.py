@@ -138,6 +138,33 @@ def test_a_log_cut_amid_a_row_is_read_up_to_the_row_before(tmp_path: Path) -> No
     assert np.array_equal(cut.fixes.x_m, whole.fixes.x_m[:-1])
 
 
+def test_a_decision_in_a_log_that_is_cut_off_has_the_fixes_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Robots answer to fixes that are in the file already, and decide: whichever is written last."""
+    recording, seen, flush = rig.swim("pool", PATH, 4.0), dict[int, bool](), h5py.Dataset.flush
+    sent = replace(recording, decisions=[], capture_us=[], fix_status=[], heard=[])
+    for answers in (sent.capture_us, sent.fix_status, sent.heard):
+        answers += [None] * len(sent.fixes)
+
+    def flush_and_look(data: h5py.Dataset) -> None:
+        flush(data)
+        log = read_run(live.path)
+        newest = log.decisions.fix_sequence
+        known = bool((log.fixes.extra["heard_us"][newest[newest >= 0]] >= 0).all())
+        seen[len(newest)] = seen.get(len(newest), True) and known
+
+    with empty_log(tmp_path) as live:
+        live.keep(sent)
+        live.settle()
+        monkeypatch.setattr(h5py.Dataset, "flush", flush_and_look)
+        live.keep(recording)
+        live.settle()
+        monkeypatch.undo()
+    assert seen == {0: True, len(recording.decisions): True}
+    same_columns(read_run(live.path), recording.log(), "fixes")
+
+
 def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     log = logged(tmp_path / "file" / "run.h5", rig.recording(shape(PATH), OPTIONS))

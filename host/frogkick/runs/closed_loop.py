@@ -343,14 +343,13 @@ class _Run:
         elif frame.name == "STROKE" and values["status"] == link_layout().status["STATE"]:
             self._check_disarmed()
         elif frame.name == "REFUSED":
-            begin_us, known = (
-                int(values["begin_us"]),
-                min(self._unanswered.values(), default=len(recording.fixes)),
-            )
+            begin_us = int(values["begin_us"])
+            known = min(self._unanswered.values(), default=len(recording.fixes))
             if not self.options.onboard:
                 begin_us, known = begin_us - recording.clock_offset_us, len(recording.fixes)
                 self.twin.act(begin_us, RESTING)
-            recording.rested[len(recording.decisions) - 1] = begin_us, known
+            if recording.decisions:  # the first one is lost where the connection dropped
+                recording.rested[len(recording.decisions) - 1] = begin_us, known
         elif decision is not None:
             recording.decisions.append(decision)
             self.changes.decided(recording.decisions)

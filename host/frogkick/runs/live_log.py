@@ -86,13 +86,13 @@ class LiveLog:
                 writes.append(("fixes/robot_capture_us", row, -1 if taken_us is None else taken_us))
                 writes.append(("fixes/robot_status", row, status))
                 heard_us, heard_after = recording.heard[row] or UNKNOWN
-                writes += [("fixes/heard_us", row, heard_us), ("fixes/heard_after", row, heard_after)]
+                writes += [("fixes/heard_after", row, heard_after), ("fixes/heard_us", row, heard_us)]
         waiting = [*self._unanswered, *range(first, self._fixes)]
         self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
         for row, (rested_us, after) in list(recording.rested.items())[self._rested :]:
             self._rested += 1
             if row < self._decisions:  # else it is appended below
-                writes += [("decisions/rested_us", row, rested_us), ("decisions/rested_after", row, after)]
+                writes += [("decisions/rested_after", row, after), ("decisions/rested_us", row, rested_us)]
         first, self._decisions = self._decisions, len(recording.decisions)
         if self._decisions > first:
             made = recording.decision_columns(first)
@@ -150,18 +150,34 @@ class LiveLog:
                 self._condition.wait_for(lambda: self._closing, GATHER_S)
 
     def _write(self, writes: list[_Write]) -> None:
-        """Append and flush new rows, of fixes first, then what changes in earlier ones, and paths."""
-        appended: dict[str, list[AnyArray]] = {}
+        """Write and flush what changes in earlier rows, then new rows, of fixes first, and then paths.
+
+        So a decision in a log that is cut off has all that was known before it.
+        """
+        parts: dict[str, list[AnyArray]] = {}
         for name, place, values in writes:
             if place is None:
-                appended.setdefault(name, []).append(values)
-        for name in sorted(appended, key=lambda name: not name.startswith("fixes/")):
-            values, data = np.concatenate(appended[name]), self._file[name]
-            data.resize(len(data) + len(values), axis=0)
-            data[len(data) - len(values) :] = values
+                parts.setdefault(name, []).append(values)
+        new = {name: np.concatenate(some) for name, some in parts.items()}
+        changed: dict[str, h5py.Dataset] = {}
+        for name, place, values in writes:
+            if place is None or name.startswith("then/"):
+                continue
+            data = self._file[name]
+            if place < len(data):
+                changed[name] = data
+                data[place] = values
+            else:
+                new[name][place - len(data)] = values
+        for data in changed.values():
+            data.flush()
+        for name in sorted(new, key=lambda name: not name.startswith("fixes/")):
+            data = self._file[name]
+            data.resize(len(data) + len(new[name]), axis=0)
+            data[len(data) - len(new[name]) :] = new[name]
             data.flush()
         for name, place, values in writes:
-            if place is not None:
+            if name.startswith("then/"):
                 data = self._file[name]
                 if place == _WHOLE:
                     data.resize((len(values),))

@@ -116,8 +116,10 @@ def require_replayable(run: RunLog) -> None:
 
 def _schedule(run: RunLog, tables: Tables) -> Schedule:
     extra, first_us = run.fixes.extra, round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
-    is_exact = {"heard_us", "heard_after"} <= extra.keys() and "scheduled_us" in run.decisions.extra
-    used = run.fixes.usable & (extra["heard_us"] >= 0) if is_exact else run.fixes.usable
+    heard_us = extra.get("heard_us", np.full(len(run.fixes), -1))
+    known = run.fixes.usable & (heard_us >= 0)
+    is_exact = bool(known.any()) and "heard_after" in extra and "scheduled_us" in run.decisions.extra
+    used = known if is_exact else run.fixes.usable
     later_us = first_us - int(run.decisions.extra["scheduled_us"][0]) if is_exact else 0
     fixes, heard = [], []
     # The robot recognises a duplicate by its number and pose.
@@ -130,7 +132,7 @@ def _schedule(run: RunLog, tables: Tables) -> Schedule:
             (arrival_s, Fix(capture_s, arrival_s - capture_s, *pose, sequence=int(numbers[row]) & 0xFFFF))
         )
         if is_exact:
-            heard.append((int(extra["heard_us"][row]) + later_us, int(extra["heard_after"][row])))
+            heard.append((int(heard_us[row]) + later_us, int(extra["heard_after"][row])))
     numbered = {action.name: number for number, action in enumerate(tables.actions)}
     strokes = tuple(numbered.get(name) for name in run.decided(unseen=""))
     period_us = round(run.period_s * 1e6)

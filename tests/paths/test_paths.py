@@ -148,6 +148,11 @@ def test_corner_keeps_its_sides() -> None:
     assert path.tangent_rad[90] == pytest.approx(math.pi / 2, abs=1e-6)
 
 
+def test_a_waypoint_that_differs_by_rounding_is_a_repeat() -> None:
+    corner = [(0.0, 0.0), (0.2, 0.0), (0.2, 1e-18), (0.2, 1e-10), (0.4, 0.1)]
+    assert from_waypoints(corner) == from_waypoints([corner[0], corner[1], corner[4]])
+
+
 @pytest.mark.parametrize(
     ("points", "text"),
     [
@@ -158,6 +163,8 @@ def test_corner_keeps_its_sides() -> None:
         ([(1.0, 2.0), (1.0, math.inf)], "y of point 1 is inf"),
         ([(1.0, 2.0, 3.0)], "shape"),
         ([(0.0, 0.0), (5000.0, 0.0)], "1000 m"),
+        ([(0.0, 0.0), (1e200, 0.0), (2e200, 1e200)], "1000 m"),
+        ([(0.0, 0.0), (1e-200, 0.0), (2e-200, 1e-200)], "no length"),
     ],
 )
 def test_bad_waypoints(points: list[tuple[float, ...]], text: str) -> None:

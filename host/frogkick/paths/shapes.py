@@ -29,6 +29,8 @@ from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import body_from_world
 from frogkick.paths.path import POINTS_MAX, Path, along_m, no_length, require_near, require_points
 
+_REPEATED_M = 1e-9  # a waypoint nearer to the one before it repeats it
+
 # Sizes near those of the recorded runs, which fit the authors' pool.
 LINE_LENGTH_M = 0.45
 SINE_LENGTH_M = 0.45
@@ -176,13 +178,14 @@ def from_waypoints(
     """A path through waypoints, evenly spaced by arc length.
 
     Args:
-        waypoints_m: (k, 2), m, world (or the path's own frame, then place()). Repeats are left out.
+        waypoints_m: (k, 2), m, world (or the path's own frame, then place()). Repeats of the point
+            before, within 1 nm, are left out.
         smooth: a natural cubic spline over chord length where k > 2, else straight segments.
         points: number of points of the path, 2 to 100.
         name: for reports and errors.
 
     Raises:
-        InputError: not (k, 2), fewer than two distinct points, or a value that is not finite.
+        InputError: not (k, 2), fewer than two distinct points, or a value that is not finite or too large.
     """
     count = _check_points(points, name)
     try:
@@ -204,8 +207,7 @@ def from_waypoints(
         )
     require_points(name, len(given))
     require_near(name, given[:, 0], given[:, 1])
-    distinct = np.concatenate([[True], (np.diff(given, axis=0) != 0.0).any(axis=1)])
-    knots = given[distinct]
+    knots = given[np.diff(along_m(given), prepend=-1.0) > _REPEATED_M]
     if len(knots) < 2:
         raise no_length(name, len(given))
     dense = _spline(knots) if smooth and len(knots) > 2 else knots
@@ -229,7 +231,7 @@ def _spline(knots: Float64, per_segment: int = 64) -> Float64:
     """
     from scipy.interpolate import CubicSpline
 
-    chord = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(knots, axis=0).T))])
+    chord = along_m(knots)
     share = np.arange(per_segment) / per_segment
     at = (chord[:-1, None] + np.diff(chord)[:, None] * share).ravel()
     return np.asarray(CubicSpline(chord, knots, bc_type="natural")(np.append(at, chord[-1])))

@@ -147,6 +147,22 @@ def test_a_changed_robot_makes_its_own_chunks(tmp_path: Path) -> None:
     assert chunks_of(tmp_path) != before
 
 
+def test_changed_code_makes_its_own_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frogkick's own, and that of an effect which a user wrote."""
+    own = tmp_path / "mine.py"
+    own.write_text("class Mine:\n    def stroke(self, stroke, history, rng):\n        stroke.gain *= 0.9\n")
+    mine = replace(ROBOT, effects=({"file": "mine.py"},), folder=tmp_path)
+    plan = replace(plan_sweep(ROBOT, [2.3], phases=1, egain_percent=[50.0]), robot=mine)
+    run_sweep(plan, tmp_path, workers=1)
+    found = [chunks_of(tmp_path)]
+    own.write_text(own.read_text().replace("0.9", "0.8"))
+    run_sweep(plan, tmp_path, workers=1)
+    found.append(chunks_of(tmp_path))
+    monkeypatch.setattr("frogkick.validation.sweep.code_stamp", lambda: "of another version")
+    run_sweep(plan, tmp_path, workers=1)
+    assert len({content for chunks in (*found, chunks_of(tmp_path)) for content in chunks.values()}) == 3
+
+
 def made_up(rows: list[tuple[float, float, float, float, float]]) -> Sweep:
     """A sweep from (EGaIn, frequency, phase, speed, cost)."""
     designs = tuple(dict.fromkeys(Design(egain, hz) for egain, hz, *_ in rows))

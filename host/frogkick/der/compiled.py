@@ -33,7 +33,4 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
     return run_steps, set_accelerations, set_sums
 
 
-SOURCES = stamp_of("frogkick.der")
-"""Hash of the rods' source; a change of the code changes it."""
-
-run_steps, set_accelerations, set_sums = _compiled(SOURCES)
+run_steps, set_accelerations, set_sums = _compiled(stamp_of("frogkick.der"))

@@ -78,6 +78,18 @@ def effects_of(robot: Robot) -> tuple[Effect, ...]:
     return effects
 
 
+def own_code(robot: Robot) -> bytes:
+    """Return the content of the Python files in which a user wrote effects of a robot's file.
+
+    Raises:
+        InputError: see effects_of.
+    """
+    names = [str(table["file"]) for table in robot.effects if "file" in table]
+    if names:
+        effects_of(robot)
+    return b"\0".join(((robot.folder or Path()) / name).read_bytes() for name in names)
+
+
 def effect_classes(path: Path) -> list[type]:
     """Return all effects that a Python file defines: its own classes with a method of Effect.
 

@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.core.arrays import Float32, Float64
-from frogkick.core.chunks import WORKERS_MAX, Job, run_chunks
+from frogkick.core.chunks import WORKERS_MAX, Job, code_stamp, run_chunks
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.files import write_bytes, write_text
 from frogkick.core.poses import body_from_world
-from frogkick.core.version import VERSION
 from frogkick.der import Rods, cubic
-from frogkick.der.compiled import SOURCES
 from frogkick.effects import rods_of
+from frogkick.effects.registry import own_code
 from frogkick.library.sampling import sample_starts
 from frogkick.library.starts import Starts
 from frogkick.library.store import (
@@ -36,7 +35,6 @@ from frogkick.library.store import (
     write_library,
 )
 from frogkick.library.transitions import (
-    SAMPLE_S,
     Failed,
     Transitions,
     recorded_times,
@@ -226,8 +224,8 @@ def _job(robot: Robot, starts: Starts, record_s: float) -> bytes:
     tasks = [(task.velocity_body, task.actions, task.wanted) for task in starts.tasks]
     digest = hashlib.sha256(b"".join(array.tobytes() for task in tasks for array in task))
     shapes = [array.shape for task in tasks for array in task]
-    numbers = json.dumps([record_s, SAMPLE_S, SOURCES, shapes]).encode()
-    return b"\n".join([robot.sha256, digest.digest(), numbers, VERSION.encode()])
+    numbers = json.dumps([record_s, shapes, code_stamp()]).encode()
+    return b"\n".join([robot.sha256, digest.digest(), numbers, own_code(robot)])
 
 
 def _simulate_parts(

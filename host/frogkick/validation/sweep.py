@@ -13,13 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import frogkick.der
-import frogkick.effects.swims
-import frogkick.robot.profile
-import frogkick.validation.gaits
+from frogkick.core.chunks import code_stamp
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.der import WIDTH, prepare
+from frogkick.effects.registry import own_code
 from frogkick.effects.swims import Gait
 from frogkick.robot import Robot
 from frogkick.robot.profile import actuation
@@ -191,13 +189,10 @@ def _chunk_file(out: Path, design: Design) -> Path:
 
 
 def _key(plan: Plan) -> str:
-    """Return a hash of all that a chunk depends on: robot, phases, and the source of the simulation."""
+    """Return a hash of all that a chunk depends on: robot, phases, code of frogkick and of effects."""
     digest = hashlib.sha256(plan.robot.sha256)
-    digest.update(repr((CYCLES, FIRST_CYCLE, plan.phases)).encode("ascii"))
-    sources = sorted(Path(frogkick.der.__file__).parent.glob("*.py"))
-    modules = (frogkick.effects.swims, frogkick.robot.profile, frogkick.validation.gaits)
-    for file in (*sources, *(Path(str(module.__file__)) for module in modules)):
-        digest.update(file.read_bytes())
+    digest.update(repr((code_stamp(), plan.phases)).encode("ascii"))
+    digest.update(own_code(plan.robot))
     return digest.hexdigest()
 
 

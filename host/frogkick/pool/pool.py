@@ -86,9 +86,11 @@ class Pool:
         """Start a limb's measured stroke, of the nominal pulse, at a pool time not before ``time_s``.
 
         Raises:
-            InputError: a time that has passed.
+            InputError: no limb of the robot, a time that has passed, or one that is not finite.
         """
-        if not start_s >= self.time_s - 1e-9:
+        if not 0 <= limb < self._batch.limbs:
+            raise InputError(f"limb {limb} of robot {self.robot.id!r} is none of 0-{self._batch.limbs - 1}")
+        if not self.time_s - 1e-9 <= start_s < math.inf:
             raise InputError(f"limb {limb} fired for {start_s} s at {self.time_s} s: fire now or later")
         self._acting.fire(self._batch, 0, limb, start_s)
 

@@ -159,7 +159,7 @@ class Law(Effect):
         return self.on in ("wrench", "stroke") and not self.names & set(NOT_IN_TABLES)
 
     def overrides(self, hook: str) -> bool:
-        return hook == self.on
+        return hook == self.on if hook in CHANNELS else super().overrides(hook)
 
     def likeliest(self) -> Effect:
         if not self.by_chance:

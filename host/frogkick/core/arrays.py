@@ -38,7 +38,8 @@ def solve_positive(matrix: Float64, right: Float64, least: float = 1e-300) -> Fl
     Args:
         matrix: (..., n, n) symmetric, positive definite.
         right: (..., n, c) right sides.
-        least: lower bound of the squared pivots, which bounds the solution of a singular system.
+        least: lower bound of the squared pivots. As it is by default it keeps roots real and no more: the
+            diagonal of a matrix that may be singular needs a ridge.
 
     Returns:
         (..., n, c).

@@ -96,9 +96,9 @@ class VoronoiRegression:
         for cell in np.argsort(-total, kind="stable")[:more].tolist():
             inside = self._codes[fitted.label == cell]
             centred = inside - inside.mean(axis=0) if len(inside) else inside
-            if len(inside) < 2 or not centred.any() or total[cell] <= 0.0:
-                continue
             spread = matmul(centred.T, centred)
+            if not (spread.trace() > 0.0 and total[cell] > 0.0):
+                continue
             for _ in range(_SQUARINGS):  # its powers approach the projection on the longest axis
                 spread = spread / spread.trace()
                 spread = matmul(spread, spread)

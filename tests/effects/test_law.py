@@ -374,6 +374,16 @@ def test_a_wrong_law_is_one_line(given: dict[str, Any], words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_law_of_one_s_own_class_changes_the_body_too() -> None:
+    class Heavy(Law):
+        def robot(self, robot: fk.Robot) -> fk.Robot:
+            return robot
+
+    heavy = Heavy(on="stroke", gain="0.5")
+    assert heavy.overrides("robot") and heavy.overrides("stroke") and not heavy.overrides("fix")
+    assert not Law(on="stroke", gain="0.5").overrides("robot")
+
+
 def test_a_law_of_a_limb_that_there_is_not_is_refused() -> None:
     for law in (Law(on="stroke", limb="tail", gain="1"), Law(on="stroke", gain="1 - (since_tail_s < 0)")):
         with pytest.raises(InputError, match="tail"):

@@ -83,3 +83,17 @@ def test_no_more_cells_than_different_samples() -> None:
     cells = VoronoiRegression(few, bent(few), WEIGHT, linear=True).cells(50)
     assert len(cells.codes) <= 5
     assert told(cells, few) == pytest.approx(bent(few), abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    "spread", [[[0.0] * 3], [[3.0, 1.0, -2.0]], [[1e3, 0.0, 2.0], [0.0, 5.0, 0.1]], [[1e-170] * 3]]
+)
+@pytest.mark.parametrize("linear", [True, False])
+def test_velocities_in_a_point_a_line_or_a_plane(spread: list[list[float]], linear: bool) -> None:
+    codes = RNG.normal(size=(500, len(spread))) @ np.array(spread)
+    values = np.stack([codes.sum(axis=1) * 1e-3, RNG.normal(size=500)], axis=1)
+    regression = VoronoiRegression(codes, values, WEIGHT, linear=linear)
+    with np.errstate(all="raise", under="ignore"):
+        found = regression.cells(20)
+    assert np.isfinite(found.base).all() and np.abs(found.slope).max(initial=0.0) < 10.0
+    assert found.error.sum() <= (((values - values.mean(axis=0)) / WEIGHT) ** 2).sum() * (1.0 + 1e-9)

@@ -123,8 +123,14 @@ def test_a_time_that_is_a_picture_s_but_for_rounding_is_the_picture_s() -> None:
     pool.actuate(0, 0.0)
     for at_s in (0.2, 0.4, 0.6000000000000002, 0.8, 0.9999999999999998, 1.0):
         pool.advance(at_s)
-    with pytest.raises(InputError, match="fire now or later"):
-        pool.actuate(0, 0.5)
+    for limb, start_s, text in (
+        (0, 0.5, "fire now or later"), (0, np.inf, "fire now or later"), (0, np.nan, "fire now or later"),
+        (-1, 1.1, "limb -1"), (4, 1.1, "none of 0-3"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=text):
+            pool.actuate(limb, start_s)
+    with pytest.raises(InputError, match="finite"):
+        pool.put((0.0, np.nan, 0.0))
     pool.advance(np.nextafter(1.2, 0.0))
     pool.advance(np.nextafter(1.2, 2.0))
     pose, velocity = pool.state()

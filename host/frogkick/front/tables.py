@@ -259,7 +259,7 @@ def build_library(
         workers: number of processes; None: one for each core.
         cluster: address of a Dask scheduler whose workers simulate instead.
         out: HDF5 file to write as well. An interrupted build resumes if it is started again with the same
-            arguments; parts of another robot or seed are refused.
+            arguments; parts of another robot, seed or version are refused.
         progress: True for a bar, or a function of (transitions done, all).
 
     Raises:

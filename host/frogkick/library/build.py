@@ -73,6 +73,8 @@ class Checkpoints:
         if key == self._key:
             return
         if keep_others and key and any(self.folder.glob("*.npz")):
+            if whose == name:
+                whose = "made by another frogkick, other packages or another effect file"
             raise InputError(
                 f"{str(self.folder)!r} holds finished parts of another library ({whose}), this one is "
                 f"{name}: build that one to its end, choose another --out, or delete the folder"

@@ -151,8 +151,8 @@ def fit_table(
     Otherwise states are chosen where the error is large (see frogkick.library.voronoi), and the best of
     several roundings of the values is taken: coarser values leave room for more states.
 
-    The same library gives the same bytes on the same machine. Arguments and errors are those of
-    ``frogkick.fit_table``; a fit needs WHOLE_MIN complete states, a "nearest" table of all states any number.
+    The same library gives the same bytes on every x86-64 processor with FMA. For arguments and errors see
+    ``frogkick.fit_table``. A fit needs WHOLE_MIN complete states, a "nearest" table of all states any number.
     """
     if kind is not None and kind not in KINDS:
         raise InputError(f"kind is {kind!r}{nearest_name(kind, KINDS)}: give {' or '.join(KINDS)}")

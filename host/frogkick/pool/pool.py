@@ -43,7 +43,10 @@ class Pool:
             robot: the robot without the effects of ``world``.
             pose_world: x_m, y_m, heading_rad of its start.
             rng: for the camera's noise; random effects get streams of their own.
-            world: effects on the robot, the water and the camera; InputError for one that does not fit.
+            world: effects on the robot, the water and the camera.
+
+        Raises:
+            InputError: an effect that does not fit, or a pose that is not finite.
         """
         self.robot = robot
         self.camera = camera
@@ -80,6 +83,8 @@ class Pool:
         self._batch = self._at_rest(pose_world, self.time_s)
 
     def _at_rest(self, pose_world: tuple[float, float, float], time_s: float) -> Batch:
+        if not all(map(math.isfinite, pose_world)):
+            raise InputError(f"the robot lies at {pose_world}: give a finite x_m, y_m, heading_rad")
         return Batch([self._rods], np.array([pose_world]), np.zeros((1, 3)), time_s, width=1)
 
     def actuate(self, limb: int, start_s: float) -> None:

@@ -147,9 +147,12 @@ def test_a_chip_has_the_fixes_again_within_two_microseconds(own_log: RunLog) -> 
 
 
 def test_a_log_from_before_has_the_times_of_its_fixes_in_seconds(own_log: RunLog) -> None:
+    """So has one of which no fix was answered."""
     extra = {key: own_log.fixes.extra[key] for key in ("sequence", "robot_capture_us", "robot_status")}
-    older = dataclasses.replace(own_log, fixes=dataclasses.replace(own_log.fixes, extra=extra))
-    for place in (None, "pool"):
+    nothing = np.full(len(own_log.fixes), -1)
+    for place, heard in ((None, {}), ("pool", {}), ("pool", {"heard_us": nothing, "heard_after": nothing})):
+        fixes = dataclasses.replace(own_log.fixes, extra={**extra, **heard})
+        older = dataclasses.replace(own_log, fixes=fixes)
         port = None if place is None else rig.port(place)
         found = replay(older, rig.tables(), PlanConfig(depth=2), port, host=True)
         assert found.differences == [] and own_log.decisions.estimate is not None

@@ -56,6 +56,7 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda _: TableMaker(10**9, 0, 1),
         "states is 1000000000: give 1 to 65535",
     ),
+    "a retune of too few states": (lambda _: TableMaker(45, 0, 1), "states is 45: give 46 or more"),
     "a retune with a negative seed": (lambda _: TableMaker(800, -1, 1), "seed is -1: give 0 or more"),
     "a table as runs": (lambda robot: fk.identify(robot, test=[robot]), "runs are given as Robot: give runs"),
     "a run to train on and to test": (

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
+from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, compose, wrap_angle
 from frogkick.core.progress import Stage
 from frogkick.effects import Effect, Fix, World, effects_of
@@ -20,7 +21,7 @@ from frogkick.identification.outcome import Outcome
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.library import build_library, fit_table
-from frogkick.library.fitting import looked_up
+from frogkick.library.fitting import WHOLE_MIN, looked_up
 from frogkick.library.sampling import require_draw
 from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import config_of
@@ -84,7 +85,10 @@ class TableMaker:
     workers: int
 
     def __post_init__(self) -> None:
-        require_draw(self.count, self.seed)  # here, because the identification before it takes minutes
+        # Here, because the identification before it takes minutes.
+        require_draw(self.count, self.seed)
+        if self.count < WHOLE_MIN:
+            raise InputError(f"states is {self.count}: give {WHOLE_MIN} or more, as many as a table takes")
 
     def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
         """Simulate a robot's library into a file, and make the table image of it."""

@@ -169,8 +169,8 @@ def retune(
             into a table; ``lost`` says which, and what that costs.
 
     Raises:
-        InputError: runs of several robots or of another period, a folder ``out`` that is not empty, or tables
-            of another robot.
+        InputError: runs of several robots or of another period, a folder ``out`` that is not empty, tables of
+            another robot, or a number of states or a seed that is out of range.
         ToolchainError: no compiler for the firmware is found.
     """
     if push is not None:

@@ -66,6 +66,7 @@ def filter_offsets(observed: Float64, firing: Bool, random_walk: float, huber_si
     Args:
         observed: (m,) residual of each period, in units of the residuals' size; NaN if unknown.
         firing: (m, limbs) whether a limb fires in a period.
+        random_walk: variance that each limb's offset gains in a period; 0: offsets stay at 0.
     """
     expected = np.zeros(len(observed))
     if not random_walk:

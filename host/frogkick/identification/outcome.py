@@ -166,7 +166,9 @@ class Outcome:
     def residuals(self) -> dict[str, Any] | None:
         """What is left of the training runs, as quantities that can be read; None without a search.
 
-        The missing wrench and the ratios of strokes are None if laws were not looked for.
+        ``wrench``: the missing force and torque of each third of a period, with covariance; ``strokes``: the
+        log likelihood ratio of fired over not fired; both are None if laws were not looked for. ``fixes``:
+        innovations in robust standard deviations.
         """
         if self.found is None:
             return None

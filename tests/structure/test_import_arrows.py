@@ -11,6 +11,8 @@ import pytest
 from tests.conftest import REPOSITORY, from_ci
 from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, circle, unknown, violations
 
+from frogkick.front.tables import MADE_BY
+
 
 def plant(root: Path, files: dict[str, str]) -> list[str]:
     """Make a small tree of the real one's shape and return what breaks the arrows in it."""
@@ -59,6 +61,17 @@ def test_the_arrows_run_one_way() -> None:
         for seen in reach.values():
             seen |= {far for near in seen for far in reach[near]}
     assert [room for room, seen in reach.items() if room in seen] == []
+
+
+def test_kept_tables_are_told_apart_by_all_code_that_makes_them() -> None:
+    makers, package = {"library"}, REPOSITORY / "host/frogkick"
+    for _ in ARROWS:
+        for room in sorted(makers):
+            for file in (package / room).glob("*.py"):
+                makers |= set(
+                    re.findall(r"(?:from|import) frogkick\.(\w+)", file.read_text(encoding="utf-8"))
+                )
+    assert makers == set(MADE_BY)
 
 
 def test_a_sound_tree_has_no_violation(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from frogkick import library as libraries
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, existing_file, one_at_a_time, write_bytes
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
+from frogkick.effects.registry import own_code
 from frogkick.front.html import page_of
 from frogkick.library import RECORD_S, Library, library_info
 from frogkick.library.fitting import SAMPLING, SEED, STATES
@@ -141,7 +142,7 @@ def default_tables(robot: Robot | str, states: int | None = None, sampling: str 
     robot = load_robot(robot)
     states = STATES if states is None else states
     made_of = f"{_source_sha256()} {states} {SEED} {sampling}".encode()
-    key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]
+    key = hashlib.sha256(robot.sha256 + made_of + own_code(robot)).hexdigest()[:24]
     target = cache_folder("tables") / f"{robot.id}-{key}.fkt"
     if _is_valid(target):
         return target
@@ -155,11 +156,15 @@ def default_tables(robot: Robot | str, states: int | None = None, sampling: str 
     return target
 
 
+MADE_BY = ("core", "robot", "der", "effects", "library", "tables", "planner")
+"""Packages of frogkick whose code decides the bytes of a table."""
+
+
 def _source_sha256() -> str:
     """Return the hash of the simulating and quantising code, so that new physics gives a new table."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
-    for folder in ("robot", "der", "library", "tables", "planner"):
+    for folder in MADE_BY:
         for file in sorted((package / folder).glob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from tests.cli.commands import frogkick
 from tests.conftest import REPOSITORY, count, from_ci
-from tests.identification.made import robot as few_pieces
+from tests.identification.made import robot as made_robot
 from tests.link.live_robot import LiveRobot
 from tests.runs import rig
 
@@ -40,15 +40,15 @@ def readme(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """
     text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
     (lines,) = re.findall(r"```python\n(import frogkick as fk\n.*?)```", text, re.DOTALL)
-    names: dict[str, Any] = {"few_pieces": few_pieces}
+    names: dict[str, Any] = {"made_robot": made_robot}
     folder = tmp_path_factory.mktemp("readme")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         if few := count(60, 0, 46):
-            for old, new in (('fk.load_robot("frog2022")', "few_pieces()"), ("states=300", f"states={few}")):
+            for old, new in (('fk.load_robot("frog2022")', "made_robot()"), ("states=300", f"states={few}")):
                 assert old in lines
                 lines = lines.replace(old, new)
-            some = [term for term in catalogue(few_pieces()) if "limb_wear rear" in term.title]
+            some = [term for term in catalogue(made_robot()) if "limb_wear rear" in term.title]
             patch.setattr(outcome_module, "catalogue", lambda *_: some)
             patch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
         exec(compile(lines, "README.md", "exec"), names)
@@ -369,7 +369,7 @@ def test_a_run_is_decided_again_in_memory(runs: list[fk.Run], table: fk.Table) -
 def test_gaits_are_ranked_in_memory() -> None:
     told: list[tuple[int, int]] = []
     swept = fk.sweep(
-        few_pieces(),
+        made_robot(),
         egain_percent=[10.0],
         frequencies_hz=[0.4, 0.5],
         phases=1,
@@ -382,4 +382,4 @@ def test_gaits_are_ranked_in_memory() -> None:
     assert swept.as_json()["gaits"] == 2 and repr(swept).startswith("Swept('frog2022': 2 designs, 2 gaits; ")
     assert "mm/s" in swept._repr_html_()
     with pytest.raises(fk.InputError, match="nowhere"):
-        fk.validate("nowhere", few_pieces())
+        fk.validate("nowhere", made_robot())

@@ -1,4 +1,4 @@
-"""What a run has recorded, its log, and how well it followed its path."""
+"""What a run is given and has recorded, its log, and how well it followed its path."""
 
 from __future__ import annotations
 

@@ -311,6 +311,16 @@ def test_a_method_that_fails_is_named(tmp_path: Path, method: str, words: str) -
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("given", ["float('nan')", "float('inf')", "'x'", "None", "10**400"])
+def test_what_is_no_finite_number_is_refused(tmp_path: Path, given: str) -> None:
+    lines = "class Bad:", "    def {0}(self, {0}, *more):", "        {0}.{1} = {2}", "        return {0}", ""
+    for hook, name in (("stroke", "gain"), ("fix", "heading_rad")):
+        (tmp_path / "bad.py").write_text("\n".join(lines).format(hook, name, given))
+        acting = Acting([make_effect({"file": "bad.py"}, tmp_path)], ROBOT, [RNG])
+        with pytest.raises(InputError, match=f"give a {hook} of .*: values must be finite"):
+            acting.stroke(0, 0, 0.0) if hook == "stroke" else acting.fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0))
+
+
 def test_a_fix_that_is_none_is_named(tmp_path: Path) -> None:
     (tmp_path / "bad.py").write_text("class Bad:\n    def fix(self, fix, rng):\n        return 'x'\n")
     acting = Acting([make_effect({"file": "bad.py"}, tmp_path)], ROBOT, [RNG])

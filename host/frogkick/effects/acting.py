@@ -114,7 +114,7 @@ class Acting:
             given = _called(effect, "stroke", stroke, self.histories[lane], self._rngs[lane])
             stroke = _of_kind(Stroke, effect, "stroke", given) or stroke
         self.histories[lane].strokes.append((time_s, limb))
-        if not all(math.isfinite(v) for v in (stroke.gain, stroke.delay_s, stroke.duration_scale)):
+        if not _finite(stroke.gain, stroke.delay_s, stroke.duration_scale):
             raise InputError(f"effects {self.effects} give a stroke of {stroke}: values must be finite")
         stroke.gain = min(2.0, max(0.0, stroke.gain))
         stroke.delay_s = max(0.0, stroke.delay_s)
@@ -171,12 +171,20 @@ class Acting:
         return [(np.concatenate([a for a, _ in each]), np.concatenate([b for _, b in each])) for each in legs]
 
     def fix(self, fix: Fix) -> Fix | None:
-        """Return a fix of the first lane's robot as the effects change it; None if one of them drops it."""
+        """Return a fix of the first lane's robot as the effects change it; None if one of them drops it.
+
+        Raises:
+            InputError: an effect gave a fix that is not finite.
+        """
         seen: Fix | None = fix
         for effect in self.effects:
             if seen is None:
                 return None
             seen = _of_kind(Fix, effect, "fix", _called(effect, "fix", seen, self._rngs[0]))
+        if seen is not None and not _finite(
+            seen.capture_s, seen.delay_s, seen.x_m, seen.y_m, seen.heading_rad
+        ):
+            raise InputError(f"effects {self.effects} give a fix of {seen}: values must be finite")
         return seen
 
     def water(self, batch: Batch, time_s: float, pose: Float64, velocity: Float64) -> Water:
@@ -261,6 +269,13 @@ def _of_kind(kind: type[Kind], effect: Effect, hook: str, given: object) -> Kind
     if given is None or isinstance(given, kind):
         return given
     raise InputError(f"effect {effect.title!r}: {hook} gave {given!r}, needed is a {kind.__name__} or None")
+
+
+def _finite(*given: Any) -> bool:
+    try:
+        return all(math.isfinite(value) for value in given)
+    except (TypeError, ValueError, OverflowError):  # no numbers
+        return False
 
 
 def _numbers(effect: Effect, hook: str, given: object, count: int) -> Sequence[float]:

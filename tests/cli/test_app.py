@@ -8,7 +8,11 @@ import inspect
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
+from enum import EnumType
 from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import pytest
 from typer.testing import CliRunner
@@ -107,31 +111,51 @@ def test_no_command_loads_what_it_does_before_it_is_asked_to() -> None:
     subprocess.run([sys.executable, "-c", script], check=True)
 
 
+def kinds_in(hint: Any) -> set[Any]:
+    """The kinds of value that a type allows, of a list or a sequence those in it."""
+    if get_origin(hint) in (Union, UnionType, list, Sequence):
+        return set().union(*map(kinds_in, get_args(hint)))
+    return {str} if isinstance(hint, EnumType) else {int, hint} if hint is float else {hint}
+
+
 def test_every_option_goes_to_the_call_or_is_used() -> None:
-    """``opt.call`` passes options by their names: one that is named otherwise would be lost in silence."""
+    """``opt.call`` passes options by their names: one that is named otherwise would be lost in silence.
+
+    A variable that happens to be named as a parameter must not be passed, nor an option of another type.
+    """
     calls = 0
     for file in Path(frogkick.__file__).parent.glob("cli/*.py"):
         for command in ast.walk(ast.parse(file.read_text())):
             if not isinstance(command, ast.FunctionDef):
                 continue
             inner = [each for statement in command.body for each in ast.walk(statement)]
-            used = {each.id for each in inner if isinstance(each, ast.Name)}
+            names = [each for each in inner if isinstance(each, ast.Name)]
+            used = {each.id for each in names}
             imported = {
                 name.asname or name.name: (each.module, name.name)
                 for each in inner
                 if isinstance(each, ast.ImportFrom)
                 for name in each.names
             }
+            own = {each.id for each in names if isinstance(each.ctx, ast.Store)} | imported.keys()
             for each in inner:
                 if isinstance(each, ast.Call) and ast.unparse(each.func) == "opt.call":
                     called = ast.unparse(each.args[0])
                     module, name = imported.get(called, ("frogkick", called.removeprefix("fk.")))
-                    known = inspect.signature(getattr(importlib.import_module(str(module)), name)).parameters
+                    function = getattr(importlib.import_module(str(module)), name)
+                    known = inspect.signature(function).parameters.keys()
                     options = {argument.arg for argument in command.args.args}
-                    assert options <= known.keys() | used, (command.name, options - known.keys() - used)
-                    assert {key.arg for key in each.keywords if key.arg} <= known.keys(), command.name
+                    keywords = {key.arg for key in each.keywords if key.arg}
+                    assert options <= known | used, (command.name, options - known - used)
+                    assert keywords <= known, command.name
+                    assert not own & known - keywords, (command.name, own & known - keywords)
+                    place = importlib.import_module(f"frogkick.cli.{file.stem}")
+                    given = get_type_hints(getattr(place, command.name))
+                    taken = get_type_hints(inspect.unwrap(function))
+                    for option in options & known - keywords:
+                        assert kinds_in(given[option]) <= kinds_in(taken[option]), (command.name, option)
                     calls += 1
-    assert calls > 12
+    assert calls > 10
 
 
 def test_every_study_has_its_line_its_configuration_and_its_module() -> None:

@@ -158,8 +158,8 @@ def check(
     require_writable(out, folder=True)
     rendering: dict[str, Any] = {}
     if points is None and places is None:
-        conditions = Conditions(blur_px=blur_px, noise=noise, wave_height_m=wave_mm / 1e3)
-        rendering = {"tags": _whole_pair(grid, "--grid"), "conditions": conditions}
+        rendering["tags"] = _whole_pair(grid, "--grid")
+        rendering["conditions"] = Conditions(blur_px=blur_px, noise=noise, wave_height_m=wave_mm / 1e3)
     checked = opt.call(check_camera, locals(), **rendering)
     facts, values = checked.summary(), checked.as_json()
     if out is not None:
@@ -198,7 +198,8 @@ def track(
         x_m, y_m, heading_rad = fix.pose_world
         print(f"{x_m:.5f} {y_m:.5f} {heading_rad:.5f} {fix.delay_s:.4f}", flush=True)
 
-    found = opt.call(track_camera, locals(), each=(lambda _fix: None) if json else print_fix)
+    each = (lambda _fix: None) if json else print_fix
+    found = track_camera(calibration, source, seconds=seconds, view=view, each=each)
     if json:
         show(found, json)
     without = {reason: count for reason, count in found["reasons"].items() if reason != "found"}

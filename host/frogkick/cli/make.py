@@ -276,7 +276,7 @@ def flash_firmware(
     """Flash the bench image into a development kit through its debug probe."""
     from frogkick.front.building import flash_firmware as flash
 
-    show(opt.call(flash, locals(), table=tables, progress=True), json)
+    show(flash(image, table=tables, robot=robot, probe=probe, progress=True), json)
 
 
 def check_firmware(

@@ -37,7 +37,7 @@ def demo(
     """
     from frogkick.front.ring import demonstrate
 
-    ring, report = opt.call(demonstrate, locals(), progress=True)
+    ring, report = demonstrate(out, robot, states=states, depth=depth, seed=seed, progress=True)
     values = {**ring.as_json(), "report": str(report)}
     lines = [
         f"{name:8s} mean distance {1e3 * float(path['mean_distance_m']):5.1f} mm, "
@@ -161,7 +161,7 @@ def fit_stroke(
 
     require_writable(out)
     require_writable(picture)
-    found = opt.call(fit_strokes, locals(), files=strokes)
+    found = fit_strokes(strokes, egain_percent=egain_percent, frequency_hz=frequency_hz, length_m=length_m)
     found.save(out)
     if picture is not None:
         write_picture(found.plot(), picture, ".png")

@@ -106,7 +106,7 @@ LONGER = {
 
 
 class LazyGroup(TyperGroup):
-    """A group that loads a command only when it is called, so that ``--help`` and a typo load nothing."""
+    """A group that loads a command only when it is called, or listed without a line of its own."""
 
     table: ClassVar[dict[str, Any]] = {}
 

@@ -26,7 +26,10 @@ LOOK_S = 0.1
 
 
 def _lines() -> Iterator[list[str]]:
-    """Yield new lines of standard input, again and again; none of a terminal that this may not read."""
+    """Yield the lines that came on standard input, after LOOK_S at the latest.
+
+    None are read from a terminal in whose background this program runs.
+    """
     number, is_open, rest = sys.stdin.fileno(), True, b""
     while True:
         if not is_open or (os.isatty(number) and os.tcgetpgrp(number) != os.getpgrp()):

@@ -285,7 +285,7 @@ def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, tit
 
 
 def _stage_clock(stage_s: dict[str, float]) -> Callable[[str], None]:
-    """A function that notes the duration of each stage at its end, s."""
+    """Return what is called at the end of each stage, and notes its duration, s."""
     since_s = time.perf_counter()
 
     def lap(stage: str) -> None:

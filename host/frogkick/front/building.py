@@ -126,7 +126,7 @@ def measure_emitted(
         variables = (symbols[f"fk_{part}_end"] - symbols[f"fk_{part}_begin"] for part in ("data", "bss"))
         return Figures(
             compiler=f"{zig('chip').version} cc",
-            flags=STANDARD[-1],
+            flags=STANDARD[-1],  # what size and speed depend on
             code_bytes=sum(size for name, size in content.sizes.items() if name not in others),
             ram_bytes={name: types[name].itemsize for name in _TYPES},
             static_bytes=sum(variables),

@@ -115,13 +115,11 @@ def calibrate_camera(
         raise InputError(f"--tag-height-mm is {1e3 * tag.height_m:g} mm: give mm above the water, such as 12")
     tag = replace(tag, refraction_offset_m=refraction_offset_m(tag.height_m))
     lens, lens_rms_px = None, float("nan")
-    for option, shown in (("--pictures", pictures), ("--plane-picture", plane_picture)):
-        if shown is not None and board is None:
-            raise InputError(
-                f"{option} shows a board: give its kind with --board chessboard or --board charuco"
-            )
     if pictures is not None:
-        assert board is not None
+        if board is None:
+            raise InputError(
+                "--pictures shows a board: give its kind with --board chessboard or --board charuco"
+            )
         found = read_pictures(pictures)
         lens, lens_rms_px = calibrate_lens(board, found)
         seen = (found[0][1].shape[1], found[0][1].shape[0])
@@ -131,7 +129,10 @@ def calibrate_camera(
             )
         image_px = seen
     if plane_picture is not None:
-        assert board is not None
+        if board is None:
+            raise InputError(
+                "--plane-picture shows a board: give its kind with --board chessboard or --board charuco"
+            )
         laid = read_picture(plane_picture)
         made = calibrate_plane(board, laid, board_at_m, pool_m, tag, height_m, camera_height_m, lens)
         return Calibrated(made, lens_rms_px)
@@ -153,7 +154,7 @@ class CameraCheck:
     limit_deg: float
 
     def summary(self) -> dict[str, Any]:
-        """Root mean square and largest errors, NaN if nothing was seen; are they within the limits."""
+        """Root mean square and largest errors (NaN if nothing was seen), and whether they are allowed."""
         errors = np.array([place.error_mm for place in self.found if place.reason == "found"])
         turns = self._turns_deg
         max_mm = float(errors.max()) if len(errors) else math.nan

@@ -328,8 +328,9 @@ def run(
         said = RunProgress(tell, recording)
         if is_real:
             bench = Bench(
-                robot, str(fixes), source, begin, fix_rate_hz, true, seed, dialect, battery_v, target, video,
-                operator, wire, None if key is None else Path(key), view, stopped.set,
+                name=robot, fixes=str(fixes), source=source, begin=begin, rate_hz=fix_rate_hz, world=true,
+                seed=seed, dialect=dialect, battery_v=battery_v, out=target, film=video, operator=operator,
+                wire=wire, key=None if key is None else Path(key), drawn=view, stop=stopped.set,
             )  # fmt: skip
             with keeps_partial_log(target, recording):
                 run_on_bench(bench, image, recording, said.progress)

@@ -123,7 +123,7 @@ class Simulation:
             tasks += [
                 (tuple(chosen), missing[first : first + WIDTH]) for first in range(0, len(missing), WIDTH)
             ]
-        job = Job(tuple, ((self.robot, self.profiles),), _swim_task, _warm)
+        job = Job(_start, (self.robot, self.profiles), _swim_task, _warm)
         for index, found in run_chunks(job, tasks, self.workers if len(tasks) > 1 else 1):
             tables = repr(tasks[index][0])
             self._known.update(
@@ -133,6 +133,10 @@ class Simulation:
 
 
 _Ready = tuple[Robot, tuple[Profile, ...]]
+
+
+def _start(robot: Robot, profiles: tuple[Profile, ...]) -> _Ready:
+    return robot, profiles
 
 
 def _swim_task(ready: _Ready, task: tuple[tuple[Table, ...], Sequence[Gait]]) -> list[float]:

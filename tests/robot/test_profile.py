@@ -37,6 +37,8 @@ def test_bad_measurements_are_refused() -> None:
         fit_profile(t[::-1], k, 10.0, 0.8)
     with pytest.raises(InputError, match="a stroke lowers it"):
         fit_profile(t, np.full_like(t, 120.0), 10.0, 0.8)
+    with pytest.raises(InputError, match="lowest at its end"):
+        fit_profile(t, 120.0 - 50.0 * t, 10.0, 0.8)
 
 
 def test_files_that_are_no_profiles_are_refused(tmp_path: Path) -> None:

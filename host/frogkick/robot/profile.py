@@ -116,6 +116,8 @@ def fit_profile(
         )
     half_down = t[int(np.argmax(k < 0.5 * (rest + low)))]
     cooling = np.flatnonzero(t > max(t[int(k.argmin())], 0.1 * end))
+    if not cooling.size:
+        raise InputError(f"{name} is lowest at its end: a cycle lasts until the limb is at rest")
     best_cost, best = np.inf, np.zeros(1 + 3 * TERMS)
     for spread in (0.5, 0.8):  # two starts: one narrow, one wide pair of cooling terms
         start = [rest, low - rest, half_down, 0.008]

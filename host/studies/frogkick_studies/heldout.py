@@ -102,6 +102,7 @@ def held_out(
     swims = tuple(read_segments(run, robot) for run in runs)
     for swim in swims:
         reliable([swim])
+    # Each process makes _test_on of these runs, which then takes the index of one.
     job = Job(partial, (_test_on, robot, tuple(runs), swims, effects), _run, lambda _test: None)
     kept: dict[int, HeldOut] = {}
     progress(0, len(runs))

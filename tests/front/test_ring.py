@@ -119,7 +119,7 @@ def test_the_ring_closes(
         "mean_distance_learning_m": learned,
         "mean_distance_after_m": new,
     }
-    assert old != new and [lost_of(run.log) is None for run in (*closing.old, *closing.learned)] == [
+    assert old != new and [lost_of(run) is None for run in (*closing.old, *closing.learned)] == [
         True,
         True,
         False,
@@ -128,7 +128,7 @@ def test_the_ring_closes(
     new_tables = read_image(tmp_path / "new" / "tables.fkt")
     assert new_tables.kind == "affine"
     assert library_info(tmp_path / "new" / "library.h5")["states"] == WHOLE_MIN
-    assert new_tables.crc32 != ring.tables.crc32 and closing.new[0].log.table_crc == new_tables.crc32
+    assert new_tables.crc32 != ring.tables.crc32 and closing.new[0].table_crc == new_tables.crc32
     assert [effect["name"] for effect in load_robot(tmp_path / "found.toml").effects] == ["limb_wear"]
     monkeypatch.setattr(ring_module, "go_round", lambda *_: ring)
     monkeypatch.setattr(ring_module, "close", lambda *_: None)

@@ -174,7 +174,6 @@ MISPLACED: list[tuple[dict[str, float], dict[str, float]]] = [
 
 
 @from_ci
-@few_pieces
 @pytest.mark.parametrize(("cable", "moment"), MISPLACED, ids=["cable", "moment"])
 def test_laws_are_moved_beside_each_other(
     folder: Path, cable: dict[str, float], moment: dict[str, float]

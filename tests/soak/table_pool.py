@@ -22,7 +22,7 @@ class TableBatch:
     """What ``Pool`` needs of a batch of one. Half strokes that are no action of the table move nothing."""
 
     def __init__(self, tables: Tables, pose_world: npt.ArrayLike, rng: np.random.Generator) -> None:
-        self.time_s, self.failures = np.zeros(1), dict[int, str]()
+        self.time_s, self.failures, self.limbs = np.zeros(1), dict[int, str](), tables.limbs
         self._rng = rng
         self._period_s = tables.period_us * 1e-6
         self._fire = (tables.pulse_us + tables.second_delay_us) / tables.period_us

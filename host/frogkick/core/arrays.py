@@ -1,7 +1,8 @@
-"""Types of arrays, for annotations; products and solutions of linear systems with the same bits everywhere.
+"""Types of arrays, for annotations; products and solutions of linear systems that do not ask BLAS.
 
 ``a @ b`` and ``numpy.linalg`` call BLAS, which has other instructions for each kind of processor and so other
-last bits. What decides the bytes of a library or a table uses the functions here.
+last bits. What decides the bytes of a library or a table uses the functions here. Their bits are the same on
+x86-64 processors (``tests/der/test_machine.py``); other kinds of processor were not tried.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ UInt16 = npt.NDArray[np.uint16]
 
 
 def matmul(a: Float64, b: Float64) -> Float64:
-    """Matrix product of (..., i, j) and (..., j, k), with the same bits on every processor."""
+    """Matrix product of (..., i, j) and (..., j, k), without BLAS."""
     return np.asarray(np.einsum("...ij,...jk->...ik", a, b))
 
 
 def dot(a: Float64, b: Float64) -> float:
-    """Scalar product of two vectors, with the same bits on every processor."""
+    """Scalar product of two vectors, without BLAS."""
     return float(np.einsum("i,i->", a, b))
 
 
 def solve_positive(matrix: Float64, right: Float64, least: float = 1e-300) -> Float64:
-    """Solution of linear systems by Cholesky's method, with the same bits on every processor.
+    """Solution of linear systems by Cholesky's method, without BLAS.
 
     Args:
         matrix: (..., n, n) symmetric, positive definite.

@@ -6,7 +6,7 @@ import hashlib
 import os
 import signal
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,10 @@ few_at_ci = [0]
 """1 while a test runs that is marked ``few_pieces``."""
 few_pieces = pytest.mark.few_pieces
 """A test of a search, a command or a file, not of how finely a robot is drawn: in .ci/run, too, robots
-(``made.robot``) are of few pieces as in make test; in make test-full as they are drawn."""
+(``made.robot``) are of few pieces and wear curves from few gains as in make test; in make test-full both are
+as a user has them."""
+wear_gains: list[tuple[float, ...]] = []
+"""The first is what wear curves of a user's library are from."""
 LEFT_OUT = "slow tests that are left out: FK_LEVEL=ci runs them"
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for; ``LEFT_OUT`` -> number of tests."""
@@ -134,20 +137,16 @@ def rewrite_a_share(config: pytest.Config, worker: int, workers: int) -> None:
             rewrite._write_pyc(state, code, source, kept)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def few_wear_gains() -> Iterator[None]:
-    """In make test wear curves from two gains: those of six are most of a small library's time."""
-    from frogkick.library import wear
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wear, "GAINS", tuple(some(wear.GAINS[::-1], 2)[::-1]))
-        yield
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Before any fixture, so that those of a file with the mark in ``pytestmark`` have it as well."""
+    from frogkick.library import wear
+
     few_at_ci[0] = int(item.get_closest_marker("few_pieces") is not None)
+    # In make test wear curves from two gains: those of six are most of a small library's time.
+    if not wear_gains:
+        wear_gains.append(wear.GAINS)
+    wear.GAINS = tuple(some(wear_gains[0][::-1], 2, 2 if few_at_ci[0] else None)[::-1])
 
 
 def compile_once() -> None:

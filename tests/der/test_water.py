@@ -62,7 +62,7 @@ def test_a_push_accelerates_the_centre_and_a_turn_the_heading() -> None:
 
 
 def test_a_lane_in_still_water_does_not_notice_that_its_neighbour_s_moves() -> None:
-    rest, width = np.zeros((2, 3)), count(2, 2, 8)  # 2 is compiled for this test alone
+    rest, width = np.zeros((2, 3)), count(8, 2)  # 2 is compiled for this test alone
     ends = []
     for neighbour in (STILL, Water(flow_mps=(0.05, 0.02), turn_rad_s2=0.1)):
         batch = Batch([RODS] * 2, rest, rest, 0.0, 0.001, width)

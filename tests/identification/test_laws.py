@@ -203,6 +203,7 @@ def test_laws_are_moved_beside_each_other(
 
 
 @from_ci
+@few_pieces
 def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
     swims = [make_swim(planted(folder, WORLDS[2][1]), seed, PERIODS) for seed in (1, 2)]
     data, nominal = nominal_fit(swims, robot())
@@ -232,6 +233,7 @@ def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
 
 
 @from_ci
+@few_pieces
 @pytest.mark.parametrize("taut", [True, False])
 def test_what_bends_is_held_against_folds_by_simulation(folder: Path, taut: bool) -> None:
     """A cable a little off its place: derivatives across the bend say nothing of a fit without a fold."""
@@ -246,6 +248,7 @@ def test_what_bends_is_held_against_folds_by_simulation(folder: Path, taut: bool
 
 
 @from_ci
+@few_pieces
 def test_a_law_that_may_have_no_strength_is_left_out(folder: Path) -> None:
     swims = [make_swim(planted(folder, WORLDS[1][1]), seed, 16) for seed in (1, 2)]
     data, nominal = nominal_fit(swims, robot())
@@ -263,6 +266,7 @@ def test_a_law_that_may_have_no_strength_is_left_out(folder: Path) -> None:
 
 
 @from_ci
+@few_pieces
 def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
     """A steady push, by pulses in thirds of periods; a limb that is worn; one that is broken; late fixes."""
     from frogkick.identification.fit import Model, residuals_of, rollouts_of
@@ -312,6 +316,7 @@ def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
 
 
 @from_ci
+@few_pieces
 def test_a_cable_is_found_and_swims_from_the_file_that_is_written(folder: Path) -> None:
     table = planted(folder, WORLDS[0][1])
     swims = [make_swim(table, seed, count(20, 30)) for seed in (1, 2, 3, 4)]
@@ -333,6 +338,7 @@ def values_of(tables: Sequence[Any]) -> list[float]:
 
 
 @from_ci
+@few_pieces
 def test_the_missing_wrench_is_read_from_residuals() -> None:
     """A known force in the pool is told third by third, within its covariance; so are strokes and fixes."""
     numbers = {"push": {"value": 1.5e-3, "unit": "N"}, "rate": {"value": 0.7, "unit": "1/s"}}

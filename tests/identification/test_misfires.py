@@ -21,6 +21,8 @@ from frogkick.identification.verdict import PARTLY
 from frogkick.report.identify_figures import missing_figure
 from frogkick.robot import load_robot
 
+pytestmark = few_pieces
+
 GIVEN = Path(__file__).parents[3] / "shared" / "data" / "misfire"
 
 
@@ -80,7 +82,6 @@ def test_one_stroke_that_fails_is_an_accident() -> None:
 
 
 @from_ci
-@few_pieces
 def test_a_limb_that_breaks_does_not_misfire() -> None:
     at = {"at": {"value": 15.0, "unit": "s"}}
     table = {"name": "law", "on": "stroke", "limb": "front_left", "gain": "time_s < at", "parameters": at}

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import START_S, WORN, make_run, make_swim, robot, term
 from scipy.stats import t as student
-from tests.conftest import count, from_ci
+from tests.conftest import count, few_pieces, from_ci
 
 from frogkick.core.poses import PredictionError
 from frogkick.identification import choice as choice_module
@@ -39,6 +39,8 @@ from frogkick.identification.verdict import (
 )
 from frogkick.runs.runlog import Fixes, FixFlag
 from frogkick_studies.planted_laws import LAWS_TEXT
+
+pytestmark = few_pieces
 
 
 def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Segments], worn: list[Segments]) -> None:

@@ -282,6 +282,7 @@ def test_a_wrong_world_is_refused_in_one_line(tmp_path: Path, text: str, words: 
     with pytest.raises(InputError, match=words) as caught:
         read_world(tmp_path / "world.toml")
     assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"world file '{tmp_path / 'world.toml'}'")
 
 
 def test_a_method_that_gives_nonsense_is_named(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from tests.runs import rig
 import frogkick as fk
 from frogkick.effects import LimbWear
 from frogkick.effects.base import Effect
+from frogkick.front import tables as tables_module
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.terms import catalogue
@@ -109,6 +110,17 @@ def test_a_robot_is_one_line_and_a_picture(robot: fk.Robot, tmp_path: Path) -> N
     assert page.count("<polyline") == 1 + len(robot.limbs) and all(limb.name in page for limb in robot.limbs)
     robot.save(tmp_path / "robot.toml")
     assert fk.load_robot(tmp_path / "robot.toml") == robot
+
+
+@from_ci
+def test_a_default_table_is_that_of_the_numerical_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path))
+    made = tables_module.default_tables("frog2022", 1, "visited")
+    assert tables_module.default_tables("frog2022", 1, "visited") == made
+    monkeypatch.setattr(tables_module, "numerical_versions", lambda: "numpy 0.1\n")
+    assert tables_module.default_tables("frog2022", 1, "visited") != made
 
 
 @from_ci

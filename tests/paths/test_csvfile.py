@@ -81,6 +81,8 @@ def test_who_gives_more_points_is_told_what_becomes_of_them(tmp_path: pathlib.Pa
         ("x,x\n1,2\n", "twice"),
         ("x,dx,dy\n1,2,3\n", "'y' is missing"),
         ("x,y,dx\n1,2,3\n", "'dy' is missing"),
+        ("x,y,dx,dy,tangent_rad\n0,0,1,0,0\n1,0,1,0,0\n", "tangent_rad and dx, dy are both given: keep one"),
+        ("x,y,tangent_rad,dy\n0,0,0,1\n1,0,0,1\n", "tangent_rad and dx, dy are both given: keep one"),
         ("1,2\n3,nan\n", "row 2 column 'y' is 'nan'"),
         ("1,2\n3,inf\n", "row 2 column 'y' is 'inf'"),
         ("x,y\n1,2\n3,\n", "row 3 column 'y' is ''"),

@@ -112,6 +112,17 @@ def test_what_was_run_is_not_run_again(
     assert len(kept.read_text(encoding="utf-8").splitlines()) == 2
 
 
+def test_a_kept_result_is_of_the_code_that_a_user_wrote(tmp_path: Path) -> None:
+    own = tmp_path / "mine.py"
+    own.write_text("class Mine:\n    def wrench(self, time_s, body):\n        return 0.0, 0.0, 0.0\n")
+    mine = dataclasses.replace(rig.robot(), effects=({"file": "mine.py"},), folder=tmp_path)
+    before = study.stamp_of(mine, [b"table"])
+    assert study.stamp_of(mine, [b"table"]) == before
+    own.write_text(own.read_text().replace("0.0, 0.0, 0.0", "1e-5, 0.0, 0.0"))
+    assert study.stamp_of(mine, [b"table"]) != before
+    assert study.stamp_of(rig.robot(), [b"ta", b"ble"]) != study.stamp_of(rig.robot(), [b"table"])
+
+
 def test_worlds_are_applied_and_never_mixed(
     tmp_path: Path, swum: tuple[Path, Outcomes], counted: list[Case]
 ) -> None:

@@ -216,11 +216,11 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytes
     class Stopped(Exception):
         pass
 
-    def run(out: Path) -> Result:
+    def run(out: Path, tables: Path = rig.small_table()) -> Result:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(verdicts, "build", lambda target, *_: rig.firmware(target))
             patch.setattr(verdicts, "run_chunks", counted)
-            return run_cases(robot(), rig.small_table(), [case], out)[case]
+            return run_cases(robot(), tables, [case], out)[case]
 
     def counted(job: Any, groups: list[Any], workers: int) -> Iterator[tuple[int, Any]]:
         asked.append(len(groups))
@@ -238,6 +238,12 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(Stopped):
         run(tmp_path)
     assert asked == [1, 0, 1], "a line that a stop cut is run again"
+
+    file.write_text(whole, encoding="utf-8")
+    (tmp_path / "other.fkt").write_bytes(b"another image")
+    with pytest.raises(Stopped):
+        run(tmp_path, tmp_path / "other.fkt")
+    assert asked == [1, 0, 1, 1], "a robot that plans with another table swims otherwise"
 
 
 def test_laws_are_drawn_again_until_the_error_is_as_wanted(monkeypatch: pytest.MonkeyPatch) -> None:

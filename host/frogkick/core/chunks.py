@@ -257,12 +257,17 @@ def _run_for_cluster(shared: bytes, task: bytes, code: str) -> Any:
 def code_stamp(*more: str) -> str:
     """Return a hash (SHA-256, hexadecimal) of frogkick's source, the versions of its numerical packages, and
     the source of further packages of the project."""
-    digest = hashlib.sha256(platform.python_version().encode("ascii"))
-    for package in ("numpy", "numba", "llvmlite", "scipy"):
-        digest.update(f"{package} {metadata.version(package)}\n".encode("ascii"))
+    digest = hashlib.sha256(f"{platform.python_version()}{numerical_versions()}".encode("ascii"))
     for package in ("frogkick", *more):
         _add_folder(digest, resources.files(package))
     return digest.hexdigest()
+
+
+def numerical_versions() -> str:
+    """Return the versions of the packages whose rounding decides the last bits of a result, one a line."""
+    return "".join(
+        f"{package} {metadata.version(package)}\n" for package in ("numpy", "numba", "llvmlite", "scipy")
+    )
 
 
 def _add_folder(digest: Any, folder: Any) -> None:

@@ -189,4 +189,7 @@ def read_world(path: World | Path | str) -> World:
             f"world file {str(path)!r} has {', '.join(wrong) or 'an effect that is no table'}: "
             "a world has [[effect]] tables and nothing else"
         )
-    return World(make_effects(tables, file.parent))
+    try:
+        return World(make_effects(tables, file.parent))
+    except InputError as error:
+        raise InputError(f"world file {str(path)!r}: {error}") from None

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from frogkick import library as libraries
+from frogkick.core.chunks import numerical_versions
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, existing_file, one_at_a_time, write_bytes
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
@@ -141,7 +142,7 @@ def default_tables(robot: Robot | str, states: int | None = None, sampling: str 
     """
     robot = load_robot(robot)
     states = STATES if states is None else states
-    made_of = f"{_source_sha256()} {states} {SEED} {sampling}".encode()
+    made_of = f"{_source_sha256()} {states} {SEED} {sampling}\n{numerical_versions()}".encode()
     key = hashlib.sha256(robot.sha256 + made_of + own_code(robot)).hexdigest()[:24]
     target = cache_folder("tables") / f"{robot.id}-{key}.fkt"
     if _is_valid(target):

@@ -122,6 +122,8 @@ def _header(cells: list[str], name: str) -> list[str] | None:
     twice = [column for column in columns if columns.count(column) > 1]
     if twice:
         raise InputError(f"path file {name!r}: column {twice[0]!r} stands twice: keep one")
+    if "tangent_rad" in columns and {"dx", "dy"} & {*columns}:
+        raise InputError(f"path file {name!r}: tangent_rad and dx, dy are both given: keep one of them")
     for needed, when in (("x", True), ("y", True), ("dx", "dy" in columns), ("dy", "dx" in columns)):
         if when and needed not in columns:
             raise InputError(f"path file {name!r}: column {needed!r} is missing: add it")

@@ -20,7 +20,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes, write_text
 from frogkick.core.progress import shown
 from frogkick.effects import World
-from frogkick.effects.registry import make_effects
+from frogkick.effects.registry import make_effects, own_code
 from frogkick.front.places import start_pose
 from frogkick.library import Library, build_library, fit_table, read_library
 from frogkick.library.fitting import BUDGET_BYTES
@@ -258,15 +258,25 @@ def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
     ]
 
 
+def stamp_of(robot: Robot, parts: Sequence[bytes]) -> str:
+    """Return a hash, hexadecimal, of what a kept result depends on.
+
+    These are the code and its numerical packages, the robot with the effects that its user wrote, and ``parts``:
+    contents of files and what else a study sets.
+    """
+    digest = hashlib.sha256(code_stamp("frogkick_studies").encode() + robot.sha256)
+    for part in (own_code(robot), *parts):
+        digest.update(hashlib.sha256(part).digest())
+    return digest.hexdigest()
+
+
 def _stamp(
     robot: Robot, tables: Mapping[str, Path], libraries: Mapping[str, Path], planners: Sequence[Planner]
 ) -> str:
-    digest = hashlib.sha256(code_stamp("frogkick_studies").encode() + robot.sha256)
-    for name in sorted(tables):
-        # A native library is named after all of its sources.
-        digest.update(f"{name} {libraries[name].name}\n".encode() + tables[name].read_bytes())
-    digest.update(repr(planners).encode())
-    return digest.hexdigest()
+    # A native library is named after all of its sources.
+    names = [f"{name} {libraries[name].name}\n".encode() for name in sorted(tables)]
+    images = [tables[name].read_bytes() for name in sorted(tables)]
+    return stamp_of(robot, [*names, *images, repr(planners).encode()])
 
 
 class _Ready:

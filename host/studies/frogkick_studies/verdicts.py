@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from frogkick.core.chunks import Job, code_stamp, run_chunks
+from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import write_text
 from frogkick.core.progress import shown
@@ -43,7 +43,7 @@ from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build, require_tools
 from frogkick_studies import Found
 from frogkick_studies.configs import Verdicts
-from frogkick_studies.in_pool import Lines
+from frogkick_studies.in_pool import Lines, stamp_of
 from frogkick_studies.judged import Result, judged
 from frogkick_studies.planted import LAWS, NULL, ONE, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, TWO, Kind, kinds
 from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT, Table, enough_of
@@ -106,7 +106,7 @@ def run_cases(
     write_text(out / OUTSIDE_FILE, OUTSIDE_TEXT)
     write_text(out / LAWS_FILE, LAWS_TEXT)
     library = build("native", tables, robot, out / "firmware").image
-    head = {"stamp": code_stamp("frogkick_studies"), "robot": robot.sha256.hex(), "laws": str(laws)}
+    head = {"stamp": stamp_of(robot, [tables.read_bytes()]), "laws": str(laws)}
     lines = Lines(out / "cases.jsonl", head)
     kept = {values["key"]: Result(**values["result"]) for values in lines.values}
     waiting = [case for case in cases if case.key not in kept]

@@ -36,11 +36,33 @@ from frogkick_codegen.toolchain import (
     zig_folders,
 )
 
-TARGETS = ("bench", "native")
-FLASH_BYTES = 512 * 1024
-RAM_BYTES = 64 * 1024
+
+@dataclass(frozen=True)
+class Chip:
+    """A chip with a port of its own, without an operating system.
+
+    Attributes:
+        name: for errors.
+        port: folder of the port in ``firmware``.
+        script: linker script there.
+        flash_bytes, ram_bytes: its memory.
+        gate_input_first: number of the analog input at the gate of the fifth limb; the next ones follow.
+    """
+
+    name: str
+    port: str
+    script: str
+    flash_bytes: int
+    ram_bytes: int
+    gate_input_first: int
+
+
+CHIPS: Mapping[str, Chip] = {
+    "bench": Chip("nRF52832", "bench", "nrf52832.ld", 512 * 1024, 64 * 1024, gate_input_first=4),
+}
+"""Target -> chip."""
+TARGETS = (*CHIPS, "native")
 FLASH_PAGE_BYTES = 4096
-STORE_END = FLASH_BYTES // 10 * 9  # the linker script refuses more
 SLOT_BYTES_MIN = 64 * 1024
 _CODE_BYTES_MAX = 64 * 1024  # without the table; the linker refuses more
 
@@ -50,7 +72,7 @@ class Firmware:
     """A built firmware image.
 
     Attributes:
-        target: "bench" or "native".
+        target: of ``CHIPS``, or "native".
         image: ELF file, or shared library.
         files: files by kind: elf, hex and map, or library.
         flash_bytes, ram_bytes: bytes of the chip's flash and RAM, including the stack; 0 for "native".
@@ -151,7 +173,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
     """Build firmware around a table image.
 
     Args:
-        target: "bench" or "native".
+        target: of ``CHIPS``, or "native".
         image: table image file.
         robot: the robot that the table is for; its limits go into the guard.
         out: folder for the results, not touched before everything is built; the same arguments give the
@@ -175,19 +197,18 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
     rendered = render(tables, command, PlanConfig(), robot.sha256)
     emitted = {name: content for name, content in rendered.items() if Path(name).suffix in (".c", ".h")}
     with _workshop(target, {**emitted, "fk_robot_config.h": config.encode()}) as work:
-        made = (
-            _build_bench(work, tables.limbs, len(tables.image), robot)
-            if target == "bench"
-            else _build_native(work, compiler or zig("host"))
-        )
-        sizes = image_sizes(made["elf"]) if target == "bench" else (0, 0, 0)
+        if target in CHIPS:
+            made = _build_image(work, target, tables.limbs, len(tables.image), robot)
+            sizes = image_sizes(made["elf"], CHIPS[target])
+        else:
+            made, sizes = _build_native(work, compiler or zig("host")), (0, 0, 0)
         # First what may be refused: a folder "emitted" that is not ours.
         swap_in(out / "emitted", rendered)
         files = {what: out / path.name for what, path in made.items()}
         for what, path in made.items():
             write_bytes(files[what], path.read_bytes())
         write_text(out / "fk_robot_config.h", config)
-    return Firmware(target, files["elf" if target == "bench" else "library"], files, *sizes)
+    return Firmware(target, files["elf" if target in CHIPS else "library"], files, *sizes)
 
 
 @contextmanager
@@ -202,7 +223,7 @@ def _workshop(target: str, made: Mapping[str, bytes]) -> Iterator[Path]:
         for name, content in made.items()
     }
     firmware = firmware_sources()
-    for place in ("core", "bench"):
+    for place in ("core", *(chip.port for chip in CHIPS.values())):
         for path in (firmware / place).iterdir():
             if path.suffix in (".c", ".h", ".ld"):
                 files[f"firmware/{place}/{path.name}"] = path.read_bytes()
@@ -236,8 +257,8 @@ def _without_banner(content: bytes) -> bytes:
 def require_tools(target: str) -> None:
     """Refuse a target that cannot be built here: what a build looks for, and ``doctor`` with it."""
     firmware_sources()
-    zig("chip" if target == "bench" else "host")
-    if target == "bench":
+    zig("chip" if target in CHIPS else "host")
+    if target in CHIPS:
         require("the image for the chip", "elftools", "intelhex")
 
 
@@ -256,25 +277,28 @@ def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
     return emitted + sorted(core.glob("*.c")), headers, places
 
 
-def slots_for(table_bytes: int) -> tuple[int, int]:
+def slots_for(table_bytes: int, chip: Chip = CHIPS["bench"]) -> tuple[int, int]:
     """Slots for tables by radio beside a built-in table: how many fit, one or two, and bytes of each."""
     slot = max(SLOT_BYTES_MIN, -(-table_bytes // FLASH_PAGE_BYTES) * FLASH_PAGE_BYTES)
-    room = STORE_END - 2 * FLASH_PAGE_BYTES - _CODE_BYTES_MAX - table_bytes
+    store_end = chip.flash_bytes // 10 * 9  # the linker script refuses more
+    room = store_end - 2 * FLASH_PAGE_BYTES - _CODE_BYTES_MAX - table_bytes
     return (2 if 2 * slot <= room else 1), slot
 
 
-def _build_bench(work: Path, limbs: int, table_bytes: int, robot: Robot) -> dict[str, Path]:
-    gates = range(GATE_INPUT_FIRST, GATE_INPUT_FIRST + max(limbs - GATE_INPUT_FIRST, 0))
-    for taken in set(robot.battery.inputs if robot.battery is not None else ()) & set(gates):
-        raise InputError(
-            f"battery.inputs of robot {robot.id!r} has {taken}, on the bench the gate of limb {taken + 1} of "
-            f"{limbs}: take another input"
-        )
-    bench = work / "firmware" / "bench"
+def _build_image(work: Path, target: str, limbs: int, table_bytes: int, robot: Robot) -> dict[str, Path]:
+    chip = CHIPS[target]
+    for limb in range(4, limbs):
+        taken = chip.gate_input_first + limb - 4
+        if robot.battery is not None and taken in robot.battery.inputs:
+            raise InputError(
+                f"battery.inputs of robot {robot.id!r} has {taken}, on the bench the gate of limb {limb + 1} "
+                f"of {limbs}: take another input"
+            )
+    port = work / "firmware" / chip.port
     sources, headers, places = _sources(work)
-    sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
-    elf = work / "frogkick-bench.elf"
-    slots, slot_bytes = slots_for(table_bytes)
+    sources, script = [*sources, *sorted(port.glob("*.c"))], port / chip.script
+    elf = work / f"frogkick-{target}.elf"
+    slots, slot_bytes = slots_for(table_bytes, chip)
     flags = [
         *FLAGS,
         "-ffreestanding",
@@ -289,15 +313,11 @@ def _build_bench(work: Path, limbs: int, table_bytes: int, robot: Robot) -> dict
         "-Wl,--entry=fk_reset",
         "-Wl,--gc-sections",
     ]
-    files = [*sources, *headers, *sorted(bench.glob("*.h")), script]
+    files = [*sources, *headers, *sorted(port.glob("*.h")), script]
     elf.write_bytes(
-        built_once(zig("chip"), flags, [*places, f"-I{bench}", f"-Wl,-T,{script}", *sources], files, elf)
+        built_once(zig("chip"), flags, [*places, f"-I{port}", f"-Wl,-T,{script}", *sources], files, elf)
     )
     return {"elf": elf, "hex": _hex_of(elf), "map": write_map(elf)}
-
-
-GATE_INPUT_FIRST = 4
-"""AIN4 to AIN7 are the pins of the fifth to eighth limb's gates: see firmware/bench/board.h."""
 
 
 def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
@@ -334,8 +354,8 @@ def _hex_of(elf: Path) -> Path:
     return target
 
 
-def image_sizes(elf: Path) -> tuple[int, int, int]:
-    """Flash, RAM and reserved stack, bytes, of a bench image (ELF); InputError where the chip has less."""
+def image_sizes(elf: Path, chip: Chip = CHIPS["bench"]) -> tuple[int, int, int]:
+    """Flash, RAM and reserved stack, bytes, of a chip's image (ELF); InputError where the chip has less."""
     from elftools.common.exceptions import ELFError
     from elftools.elf.elffile import ELFFile
 
@@ -353,10 +373,10 @@ def image_sizes(elf: Path) -> tuple[int, int, int]:
                 ram += segment["p_memsz"]
         flash = max(flash, _address(content, elf, "fk_region_end"))
         bottom, top = (_address(content, elf, name) for name in ("fk_stack_bottom", "fk_stack_top"))
-    for what, used, limit in (("flash", flash, FLASH_BYTES), ("RAM", ram, RAM_BYTES)):
+    for what, used, limit in (("flash", flash, chip.flash_bytes), ("RAM", ram, chip.ram_bytes)):
         if used > limit:
             raise InputError(
-                f"the firmware needs {used} bytes of {what}, the nRF52832 has {limit}: use a smaller table"
+                f"the firmware needs {used} bytes of {what}, the {chip.name} has {limit}: use a smaller table"
             )
     return flash, ram, top - bottom
 

@@ -10,9 +10,10 @@ from typing import Any
 
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.extras import require
+from frogkick_codegen.firmware import CHIPS
 
 TARGET = "nrf52832"
-FLASH_BYTES = 512 * 1024
+FLASH_BYTES = CHIPS["bench"].flash_bytes
 PART_ADDRESS, PART = 0x10000100, 0x52832
 """FICR's INFO.PART, and what an nRF52832 says there (product specification, 13.1)."""
 

@@ -173,8 +173,9 @@ def test_numbers_that_stand_twice_are_the_same() -> None:
     from frogkick.front import retuning
     from frogkick.library import RECORD_S
     from frogkick.library.fitting import WHOLE_MIN
+    from frogkick_codegen.firmware import TARGETS
 
-    assert make.RECORD_S == RECORD_S
+    assert make.RECORD_S == RECORD_S and list(make.Target) == list(TARGETS)
     assert research.LOOP_DECISIONS == parity_of_places.LOOP_DECISIONS
     assert identify.STATES_LEAST == WHOLE_MIN and identify.STATES == retuning.STATES
 

@@ -13,10 +13,11 @@ from tests.conftest import count, from_ci, some
 from tests.planner import synthetic
 
 from frogkick.core.files import write_bytes
+from frogkick.core.weights import WEIGHTS
 from frogkick.link.frames import FrameCollector
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
-from frogkick.planner.plan import PlanConfig, config_of
+from frogkick.planner.plan import Cost, PlanConfig, config_of
 from frogkick.robot import load_robot
 from frogkick.runs.chip_planner import ChipPlanner
 from frogkick.runs.parity_scenario import (
@@ -47,8 +48,10 @@ CONFIGS = {
         glide_weight_per_m=300.0,
         wall_weight_per_m=300.0,
         wall_glide=2.0,
+        wall_x_min_m=-0.15,
         wall_x_max_m=0.2,
         wall_y_min_m=-0.05,
+        wall_y_max_m=0.1,
     ),
     "budget": dataclasses.replace(ROUTE, transitions_max=150),
 }
@@ -63,6 +66,14 @@ def libraries() -> dict[str, NativeLibrary]:
     if (gcc := toolchain.other("gcc")) is not None:
         found["gcc"] = NativeLibrary(compiler=gcc)
     return found
+
+
+def test_every_cost_and_every_weight_is_compared() -> None:
+    """Else the places may differ by it, and nothing below would tell."""
+    assert {config.cost for config in CONFIGS.values()} == set(Cost)
+    for name, weight in WEIGHTS.items():
+        unused = getattr(PlanConfig(), name) if weight.least < 0.0 else 0.0
+        assert any(getattr(config, name) != unused for config in CONFIGS.values()), name
 
 
 @pytest.mark.parametrize("config", CONFIGS)

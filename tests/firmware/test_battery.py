@@ -18,7 +18,7 @@ from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot
 from frogkick.robot.schema import Battery
 from frogkick.runs.session import Session
-from frogkick_codegen.firmware import _build_bench, build
+from frogkick_codegen.firmware import _build_image, build
 
 LAYOUT = link_layout()
 SUPPLY, STATE = LAYOUT.supply, LAYOUT.state
@@ -132,4 +132,4 @@ def test_a_robot_that_sees_no_battery_never_asks() -> None:
 def test_the_gate_of_a_limb_sees_no_battery(tmp_path: Path) -> None:
     """AIN4 is the fifth limb's gate; this robot has four limbs, and one of its batteries there."""
     with pytest.raises(InputError, match="has 4, on the bench the gate of limb 5 of 6"):
-        _build_bench(tmp_path, 6, 4096, seeing(BATTERY))
+        _build_image(tmp_path, "bench", 6, 4096, seeing(BATTERY))

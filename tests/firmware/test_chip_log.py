@@ -18,7 +18,7 @@ from frogkick.runs.chip_log import LogReplay, replay_log
 from frogkick.runs.closed_loop import run_session
 from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import Session
-from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
+from frogkick_codegen.firmware import CHIPS
 
 RESET = link_layout().reset
 
@@ -55,8 +55,8 @@ def flat(log: ChipLog) -> list[Record]:
 def test_sizes_with_the_log() -> None:
     built = rig.firmware("bench")
     print(f"flash {built.flash_bytes}, RAM {built.ram_bytes} bytes")
-    assert built.flash_bytes <= 0.9 * FLASH_BYTES
-    assert built.ram_bytes <= 0.75 * RAM_BYTES, "with the stack's whole reserve"
+    assert built.flash_bytes <= 0.9 * CHIPS["bench"].flash_bytes
+    assert built.ram_bytes <= 0.75 * CHIPS["bench"].ram_bytes, "with the stack's whole reserve"
 
 
 def test_a_closed_loop_run_is_decided_again_from_the_chip_s_log() -> None:

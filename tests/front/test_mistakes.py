@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import frogkick as fk
+from frogkick.core.arguments import ArgumentError, fits, typed
+from frogkick.core.progress import Progress
 from frogkick.front.retune_tables import TableMaker
 
 MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
@@ -129,3 +136,140 @@ def test_a_budget_as_text_is_told(robot: fk.Robot, table: fk.Table) -> None:
     library = fk.build_library(robot, 2, workers=1)
     with pytest.raises(fk.InputError, match="budget is '64' KiB: give"):
         fk.fit_table(library, budget_kib="64")
+
+
+NO_TYPE = object()
+"""Fits no declared type."""
+CONSTRUCTED = {"Path", "Planner", "World"}
+"""Classes that are made by hand; the other ones are results, and keep what they are given."""
+
+
+def public() -> dict[str, Callable[..., Any]]:
+    """Every function and method of the front door that takes arguments, by its name in errors."""
+    found: dict[str, Callable[..., Any]] = {name: getattr(fk.paths, name) for name in fk.paths.SHAPES}
+    found |= {name: getattr(fk.paths, name) for name in ("shape", "from_csv", "from_waypoints")}
+    found |= {name: getattr(fk.effects, name) for name in ("make_effect", "make_effects", "read_world")}
+    for name in fk.__all__:
+        one = getattr(fk, name)
+        if inspect.isfunction(one):
+            found[name] = one
+        elif inspect.isclass(one) and not issubclass(one, BaseException):
+            found |= {name: one} if name in CONSTRUCTED else {}
+            for of in vars(one):
+                if not of.startswith("_") and callable(getattr(one, of)):
+                    found[f"{name}.{of}"] = getattr(one, of)
+    return {name: one for name, one in found.items() if set(inspect.signature(one).parameters) - {"self"}}
+
+
+PUBLIC = public()
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory: pytest.TempPathFactory, robot: fk.Robot, table: fk.Table) -> dict[str, Any]:
+    """Arguments that fit, by their names and by those of classes, as small as the work may be."""
+    folder = tmp_path_factory.mktemp("given")
+    run = fk.run(table, time_limit_s=1.0)
+    (folder / "world.toml").write_text("")
+    return {
+        "Robot": robot, "Table": table, "Run": run, "Path": fk.paths.line(), "Planner": fk.Planner(table),
+        "Library": fk.build_library(robot, 1, workers=1), "name_or_path": robot, "robot": robot, "library":
+        folder / "none.h5", "table": table, "kind": "nearest", "file": folder / "none", "folder": folder,
+        "path": "line", "name": "line", "run": run, "runs": [run], "other": run, "test": [run], "out":
+        folder / "none" / "out", "data_dir": folder, "target": "serial:/none", "states": 1, "workers": 1,
+        "phases": 1, "seconds": 0.5, "egain_percent": [30.0], "frequencies_hz": [0.7], "time_limit_s": 0.5,
+        "period_s": 1.0, "waypoints_m": [[0, 0], [1, 1]], "state": np.zeros(6), "x_m": [0, 1], "y_m": [0,
+        1], "tangent_rad": [0, 0], "pose_world": (0, 0, 0), "at_m": np.zeros(1), "points_world_m": [[0, 0]],
+        "tables": [], "effects": (), "actions": "B",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
+    name: str, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Some are not looked at, as the camera of a simulated robot; any error is one line of frogkick's."""
+    monkeypatch.chdir(tmp_path)
+    one, owner = PUBLIC[name], name.rpartition(".")[0]
+    parameters = inspect.signature(one).parameters
+    if "self" in parameters and owner not in given:
+        one = one.__get__(object.__new__(getattr(fk, owner)))
+    elif "self" in parameters:
+        one = one.__get__(given[owner])
+    small = {key: given[key] for key in parameters if key in given}
+    for key, of in parameters.items():
+        if key == "self" or of.kind in (of.VAR_POSITIONAL, of.VAR_KEYWORD):
+            continue
+        with suppress(fk.FrogkickError):
+            one(**{**small, key: NO_TYPE})
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda _: fk.sweep(egain_percent=10), "sweep: egain_percent is 10, give Sequence[float] | None"),
+        (lambda _: fk.scan("x"), "scan: seconds is 'x', give float"),
+        (lambda library: library.part([0]), "Library.part: states is [0], give Int64"),
+        (lambda _: fk.Path(5), "Path: missing a required argument: 'y_m'"),
+        (
+            lambda _: fk.paths.line(points=None, lenght_m=1),
+            "line: got an unexpected keyword argument 'lenght_m'",
+        ),
+        (lambda library: fk.fit_table(library, progress=5), "fit_table: progress is 5, give Progress"),
+        (lambda _: fk.run(then=None), "run: then is None, give Then | Sequence[Then]"),
+        (lambda _: fk.run(learn="False"), "run: learn is 'False', give bool"),
+        (lambda _: fk.run(model=5.5), "5.5"),
+        (lambda _: fk.simulate("frog2022", phase=None), "phase is None: give a number"),
+    ],
+)
+def test_an_argument_of_another_type_is_named(
+    call: Callable[[Any], object], told: str, given: dict[str, Any]
+) -> None:
+    with pytest.raises(fk.InputError) as refused:
+        call(given["Library"])
+    assert told in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("hint", "fit", "others"),
+    [
+        (int, (1, np.int64(1)), (1.0, True, "1", None)),
+        (float, (1, 1.5, np.float32(1)), (True, "1", None)),
+        (float | None, (None, 1), ("",)),
+        (bool, (True, np.bool_(False)), (0, "False", None)),
+        (Sequence[float], ([1], (1.5,), np.ones(3)), (1, "1", [None], {1: 2})),
+        (Sequence[str] | str, ("a", ["a"]), ([1], 1)),
+        (Mapping[str, Any], ({},), ([],)),
+        (ArrayLike, (1, [1], np.ones(2)), (None, NO_TYPE, "x")),
+        (ArrayLike | None, (None, 1), (NO_TYPE,)),
+        (Progress, (True, print), (1, None, "True")),
+        (fk.Robot | Path | str, ("a", Path("a")), (1, None)),
+        (Any, (None, 1), ()),
+    ],
+)
+def test_what_fits_a_declared_type(hint: Any, fit: Sequence[Any], others: Sequence[Any]) -> None:
+    assert [fits(value, hint) for value in fit] == [True] * len(fit)
+    assert [fits(value, hint) for value in others] == [False] * len(others)
+
+
+def test_what_a_call_gives_and_what_it_says_itself_stays() -> None:
+    @typed
+    def halved(number: float, tell: Callable[[float], None] = print) -> float:
+        if number == "none":
+            raise fk.InputError("none cannot be halved")
+        return number / 2
+
+    assert halved(3) == 1.5 and halved(number=np.float32(3)) == 1.5
+    with pytest.raises(fk.InputError, match="none cannot be halved"):
+        halved("none")
+    with pytest.raises(ArgumentError, match="halved: number is '3', give float") as refused:
+        halved("3")
+    assert isinstance(refused.value, TypeError) and isinstance(refused.value.__cause__, TypeError)
+    with pytest.raises(ArgumentError, match="tell is 3, give Callable"):
+        halved(3, 3)
+
+    @typed
+    def broken(number: float) -> float:
+        raise KeyError(number)
+
+    with pytest.raises(KeyError):
+        broken(1.0)

@@ -29,7 +29,7 @@ from frogkick.runs.decision import Decision
 from frogkick.runs.lab_session import lab_session
 from frogkick.runs.live_log import CUT_OFF, LiveLog, logged, part_of
 from frogkick.runs.record import BATTERY_V, Recording, RunOptions, lost_of
-from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import read_run, write_run
 
 PERIOD_S = rig.PERIOD_S
@@ -163,6 +163,42 @@ def test_a_decision_in_a_log_that_is_cut_off_has_the_fixes_before_it(
         monkeypatch.undo()
     assert seen == {0: True, len(recording.decisions): True}
     same_columns(read_run(live.path), recording.log(), "fixes")
+
+
+def test_a_decision_in_a_log_that_is_cut_off_has_the_path_that_it_follows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever row is the last before a kill: it was decided on the path that the log says."""
+    recording, seen, flush = rig.swim("pool", PATH, 4.0), list[tuple[int, int]](), h5py.Dataset.flush
+    other = shape("ellipse")
+    empty = replace(rig.recording(shape(PATH), OPTIONS).log(), then=(PathChange(-1, shape(PATH)),))
+    live = LiveLog(tmp_path / "run.h5", empty)
+
+    def flush_and_look(data: h5py.Dataset) -> None:
+        flush(data)
+        log = read_run(live.path)
+        seen.append((len(log.decisions), len(log.then)))
+
+    monkeypatch.setattr(h5py.Dataset, "flush", flush_and_look)
+    live.keep(replace(recording, then=[PathChange(1, other)]))
+    live.close()
+    assert len(recording.decisions) >= 2
+    assert set(seen) == {(0, 0), (len(recording.decisions), 1)}
+    (change,) = read_run(live.path).then
+    assert change.decision == 1 and np.array_equal(change.path.points_m, other.points_m)
+
+
+def test_a_run_that_never_began_leaves_nothing(tmp_path: Path) -> None:
+    """A source of fixes that ends before START, or Ctrl-C before the robot is armed."""
+    target = tmp_path / "new" / "run.h5"
+    with logged(target, rig.recording(shape(PATH), OPTIONS)):
+        assert part_of(target).exists()
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "other").write_text("of the user's")
+    with pytest.raises(KeyboardInterrupt), logged(target, rig.recording(shape(PATH), OPTIONS)):
+        raise KeyboardInterrupt
+    assert [file.name for file in (tmp_path / "new").iterdir()] == ["other"]
 
 
 def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:

@@ -216,11 +216,11 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytes
     class Stopped(Exception):
         pass
 
-    def run(out: Path, tables: Path = rig.small_table()) -> Result:
+    def run(out: Path, tables: Path | None = None) -> Result:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(verdicts, "build", lambda target, *_: rig.firmware(target))
             patch.setattr(verdicts, "run_chunks", counted)
-            return run_cases(robot(), tables, [case], out)[case]
+            return run_cases(robot(), tables or rig.small_table(), [case], out)[case]
 
     def counted(job: Any, groups: list[Any], workers: int) -> Iterator[tuple[int, Any]]:
         asked.append(len(groups))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.effects import body, camera, law, limbs, water
@@ -32,6 +33,7 @@ BUILT_IN: Mapping[str, type[Effect]] = _built_in()
 """All built-in effects by name."""
 
 
+@typed
 def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
     """Make an effect from an ``[[effect]]`` table.
 
@@ -55,11 +57,13 @@ def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
     return BUILT_IN[name](**values)
 
 
+@typed
 def make_effects(tables: Sequence[Mapping[str, Any]], folder: Path) -> tuple[Effect, ...]:
     """Make effects from tables, in order; see make_effect."""
     return tuple(make_effect(table, folder) for table in tables)
 
 
+@typed
 def effects_of(robot: Robot) -> tuple[Effect, ...]:
     """Return the effects of a robot's file.
 
@@ -145,6 +149,7 @@ def _own(path: Path, name: object, values: dict[str, Any]) -> Effect:
     return made
 
 
+@typed
 @dataclass(frozen=True)
 class World:
     """The effects in the simulated pool, which no model contains.
@@ -167,6 +172,7 @@ class World:
         object.__setattr__(self, "effects", tuple(given))
 
 
+@typed
 def read_world(path: World | Path | str) -> World:
     """Read a world's TOML file; a world is returned unchanged.
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.extras import require
 from frogkick.core.files import existing_file
@@ -26,7 +27,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, emit
-from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Firmware, build, require_tools
+from frogkick_codegen.firmware import CHIPS, Firmware, build, require_tools
 from frogkick_codegen.probe import check_image, flash
 from frogkick_codegen.toolchain import STANDARD, zig
 
@@ -42,6 +43,7 @@ _TYPES = ("fk_tables_t", "fk_path_t", "fk_plan_config_t", "fk_state_t", "fk_plan
 _FUNCTIONS = ("fk_plan", "fk_tables_open")
 
 
+@typed
 def build_firmware(
     table: Table | Path | str, target: str = "bench", out: Path | str | None = None
 ) -> Firmware:
@@ -65,6 +67,7 @@ def build_firmware(
     return made
 
 
+@typed
 def emit_c(
     table: Table | Path | str, out: Path | str, *, measure: bool = False, progress: Progress = False
 ) -> dict[str, str]:
@@ -165,11 +168,12 @@ def _times(
 
 def sizes_of(built: Firmware, report: ChipReport) -> dict[str, Any]:
     """The keys of the command ``firmware size``: bytes, and shares of the chip's memory."""
+    chip = CHIPS[built.target]
     return {
         "flash_bytes": built.flash_bytes,
-        "flash_of_chip": round(built.flash_bytes / FLASH_BYTES, 4),
+        "flash_of_chip": round(built.flash_bytes / chip.flash_bytes, 4),
         "ram_bytes": built.ram_bytes,
-        "ram_of_chip": round(built.ram_bytes / RAM_BYTES, 4),
+        "ram_of_chip": round(built.ram_bytes / chip.ram_bytes, 4),
         "stack_bytes": report.stack_bytes,
         "stack_bound_bytes": report.stack_bound_bytes,
         "stack_bound_chain": list(report.stack_chain),

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from frogkick.core.arguments import typed
 from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import Progress, shown
 from frogkick.front.html import page_of
@@ -45,6 +46,7 @@ _NOISE_METHOD = (
 _TOP = 10
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Validated:
     """The model compared with every simulation and measured swim of a data folder.
@@ -123,6 +125,7 @@ class Validated:
         return page_of(f"Validated {self.validation.robot.id}", rows)
 
 
+@typed
 def validate(
     data_dir: Path | str,
     robot: Robot | str = "frog2022",
@@ -184,6 +187,7 @@ def _requirement_row(requirement: Requirement) -> dict[str, Any]:
     return {**asdict(requirement), "held": requirement.held}
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Swept:
     """Every gait of a robot, simulated and ranked.
@@ -279,6 +283,7 @@ class Swept:
         return page_of(repr(self), rows)
 
 
+@typed
 def sweep(
     robot: Robot | str = "frog2022",
     *,

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import in_stages, progress_bar
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["FoundEffect", "Horizon", "Identification", "Interval", "Outcome", "identify"]
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification:
     """The result of identification.
@@ -129,6 +131,7 @@ LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
 """Called before the work with the runs that are not used: rows with ``run`` and ``reason``."""
 
 
+@typed
 def identify(
     runs: Given | Sequence[Given],
     *,

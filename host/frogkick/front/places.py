@@ -21,7 +21,7 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.runs.record import config_of_log
 from frogkick.runs.runlog import RunLog
-from frogkick_codegen.firmware import Firmware, build, require_tools
+from frogkick_codegen.firmware import CHIPS, Firmware, build, require_tools
 
 SIMULATED = {"virtual": "bench", "pool": "native"}
 """Simulated robot -> target of the firmware that it runs."""
@@ -68,7 +68,7 @@ def simulated_robot(
             building = beside.submit(build, SIMULATED[name], tables, robot, Path(folder))
             meanwhile()
             built = building.result()
-        if name == "virtual":
+        if SIMULATED[name] in CHIPS:
             from frogkick.pool.virtual_robot import VirtualRobot
 
             yield VirtualRobot(built.image, len(robot.limbs), learned=learned)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.front.places import plan_config, swim_path
 from frogkick.front.tables import Table, load_table
@@ -42,6 +43,7 @@ class Plan:
         return f"Plan({self.action}: {' '.join(self.actions)}, cost {self.cost:.2f})"
 
 
+@typed
 class Planner:
     """Receding-horizon search over a table, with the same bits as the C code on the robot.
 

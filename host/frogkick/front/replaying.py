@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown
@@ -72,6 +73,7 @@ class Replayed:
         return f"Replayed({len(self.result.actions)} decisions, {self.mismatches} mismatches{recorded})"
 
 
+@typed
 def replay(
     run: Run | Path | str,
     *,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import require_writable, write_bytes
 from frogkick.core.poses import PredictionError
@@ -132,6 +133,7 @@ class Retuning:
         return page_of(repr(self), {"verdict": self.outcome.verdict, "out": self.out, "reason": self.reason})
 
 
+@typed
 def retune(
     runs: Sequence[Given],
     *,

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.core.progress import Progress, shown
 from frogkick.front.places import simulated_robot
@@ -42,6 +43,7 @@ class Camera:
     source: str = "0"
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class Connection:
     """A robot that is connected by Bluetooth or a serial line, see ``connect``.
@@ -124,6 +126,7 @@ class Connection:
         return f"Connection({self.target!r})"
 
 
+@typed
 @contextmanager
 def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
     """Open the link to a robot, and close it at the end of the ``with`` block.
@@ -173,6 +176,7 @@ class RobotHeard:
         return asdict(self)
 
 
+@typed
 def scan(seconds: float = 4.0) -> list[RobotHeard]:
     """Return the robots in Bluetooth range with their state, the strongest signal first.
 

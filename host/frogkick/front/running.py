@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.extras import EXTRAS, require
 from frogkick.core.files import require_writable, sole_writer
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(RunLog):
     """One closed-loop run: its log, how well the path was followed, and what can be done with it.
@@ -190,6 +192,7 @@ class Run(RunLog):
             return page_of(repr(self), {"ended": self.ended})
 
 
+@typed
 def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = False) -> list[dict[str, Any]]:
     """Write recorded runs of the paper as logs. Faults are repaired or marked; no data is invented.
 
@@ -206,6 +209,7 @@ def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = Fals
         return import_recorded(data_dir, out, tell)
 
 
+@typed
 def load_run(file: Path | str) -> Run:
     """Read a run: a log of frogkick (.h5), or a recorded run of the paper (``line1.csv`` beside its path).
 
@@ -220,6 +224,7 @@ def run_of(given: Run | Path | str) -> Run:
     return given if isinstance(given, Run) else load_run(given)
 
 
+@typed
 def run(
     table: Table | Path | str | None = None,
     path: SwimPath | str = "line",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der import Failure
 from frogkick.effects.swims import Gait, Trajectory, simulate_actions, simulate_gaits
@@ -17,6 +18,7 @@ SPEED_MAX_MPS = 10.0
 """No small swimmer is faster: a greater number is of another unit."""
 
 
+@typed
 def simulate(
     robot: Robot | Path | str,
     actions: str | Sequence[str] | None = None,
@@ -46,7 +48,7 @@ def simulate(
     """
     robot = load_robot(robot)
     for name, value in (("egain_percent", egain_percent), ("frequency_hz", frequency_hz), ("phase", phase)):
-        if not isinstance(value, int | float | np.number | None):
+        if not isinstance(value, int | float | np.number) and (value is not None or name == "phase"):
             raise InputError(f"{name} is {value!r}: give a number")
     if not isinstance(cycles, int | np.integer) or cycles < 1:
         raise InputError(f"cycles is {cycles!r}: give 1 or more, a whole number")

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from frogkick import library as libraries
+from frogkick.core.arguments import typed
 from frogkick.core.chunks import numerical_versions
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, existing_file, one_at_a_time, write_bytes
@@ -35,6 +36,7 @@ KIB = 1024
 DEFAULT_ROBOT = "frog2022"
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Table:
     """A robot's transition table as in the robot's flash, with its robot.
@@ -213,6 +215,7 @@ def robot_of_table(file: Path, robot: Robot | str | None = None, opened: Tables 
     return described
 
 
+@typed
 def load_table(file: Table | Path | str | None = None, robot: Robot | str | None = None) -> Table:
     """Read a table image (.fkt) and check every part of it.
 
@@ -238,6 +241,7 @@ def _called(tables: Tables, robot: Robot, name: str = Table.name) -> Table:
     return Table(tables.called([action.name for action in robot.actions]), robot, name)
 
 
+@typed
 def build_library(
     robot: Robot | Path | str,
     states: int = 300,
@@ -302,6 +306,7 @@ def _reports_finished_parts(out: Path) -> Iterator[None]:
         raise
 
 
+@typed
 def load_library(file: Path | str) -> Library:
     """Read a library (HDF5) that ``Library.save`` or ``frogkick library build`` wrote.
 
@@ -311,6 +316,7 @@ def load_library(file: Path | str) -> Library:
     return libraries.read_library(file)
 
 
+@typed
 def fit_table(
     library: Library | Path | str,
     kind: str | None = None,

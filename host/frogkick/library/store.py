@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.arrays import Bool, Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path, existing_file, require_room
@@ -51,6 +52,7 @@ _WEAR_MEANING = "change of a transition (m, m, rad, m/s, m/s, rad/s) by limb and
 _PREVIOUS_MEANING = f"index of the action begun 1, 2, .. periods before the start; {RESTED}: limbs rested"
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Library:
     """Transitions of a robot: n states times a actions.

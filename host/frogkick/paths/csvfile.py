@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
@@ -25,6 +26,7 @@ _NAMES = {
 }  # fmt: skip
 
 
+@typed
 def from_csv(file: pathlib.Path | str, tell: Callable[[str], None] = lambda _line: None) -> Path:
     """Read a path from CSV.
 

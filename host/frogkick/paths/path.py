@@ -10,6 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import rotate, world_from_body, wrap_angle
@@ -56,6 +57,7 @@ def along_m(points_m: Float64) -> Float64:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))])
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Path:
     """A desired path in the world frame.

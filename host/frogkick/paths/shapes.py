@@ -24,6 +24,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import body_from_world
@@ -64,6 +65,7 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and bool(np.isfinite(value))
 
 
+@typed
 def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
     """A straight line from the origin along +x.
 
@@ -79,6 +81,7 @@ def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
     return Path.from_arrays(x, np.zeros_like(x), np.zeros_like(x), "line")
 
 
+@typed
 def sine(length_m: float = SINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
     """The paper's sine: x = 0.85 l s, y = l/10 sin(10 s), s from 0 to 1.
 
@@ -96,6 +99,7 @@ def sine(length_m: float = SINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
     return Path.from_arrays(extent * s, y, np.arctan2(slope, extent), "sine")
 
 
+@typed
 def ellipse(
     length_m: float = ELLIPSE_LENGTH_M,
     aspect: float = 2.0,
@@ -124,11 +128,13 @@ def ellipse(
     return Path.from_arrays(a * (1.0 - np.cos(angle)), b * np.sin(angle), tangent, name)
 
 
+@typed
 def circle(length_m: float = CIRCLE_LENGTH_M, points: int = POINTS_MAX) -> Path:
     """The paper's circle of this diameter, an ellipse of aspect 1."""
     return ellipse(length_m, aspect=1.0, points=points)
 
 
+@typed
 def bends(length_m: float = BENDS_LENGTH_M, points: int = POINTS_MAX) -> Path:
     """An S: arcs of this radius, 135 degrees to the left and 135 degrees to the right."""
     radius_m, s = _checked("bends", length_m, points)
@@ -142,6 +148,7 @@ def bends(length_m: float = BENDS_LENGTH_M, points: int = POINTS_MAX) -> Path:
     return Path.from_arrays(x, y, tangent, "bends")
 
 
+@typed
 def eight(length_m: float = EIGHT_LENGTH_M, points: int = POINTS_MAX) -> Path:
     """A figure eight, this long along its loops, that crosses itself where it begins: 96 % of Gerono's
     lemniscate."""
@@ -158,6 +165,7 @@ SHAPES: dict[str, Callable[..., Path]] = {"line": line, "sine": sine, "ellipse":
 OTHER_SHAPES: dict[str, Callable[..., Path]] = {"circle": circle, "bends": bends, "eight": eight}
 
 
+@typed
 def shape(name: str, length_m: float | None = None) -> Path:
     """A path by name, one of ``SHAPES`` or ``OTHER_SHAPES``, in its own start frame.
 
@@ -172,6 +180,7 @@ def shape(name: str, length_m: float | None = None) -> Path:
     return known[name]() if length_m is None else known[name](length_m)
 
 
+@typed
 def from_waypoints(
     waypoints_m: ArrayLike, smooth: bool = True, points: int = POINTS_MAX, name: str = "waypoints"
 ) -> Path:

@@ -18,7 +18,7 @@ from frogkick.runs.record import lost_of
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import bends_of, tracking_of_log
 from frogkick.tables.layout import LIMBS_MAX
-from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
+from frogkick_codegen.firmware import CHIPS
 
 
 def write_ring_report(target: Path, ring: Ring) -> None:
@@ -202,7 +202,8 @@ def _one_path(run: RingRun) -> Section:
 
 def _chip(ring: Ring) -> Section:
     chip, built = ring.chip, ring.built
-    flash, ram = 100 * built.flash_bytes / FLASH_BYTES, 100 * built.ram_bytes / RAM_BYTES
+    of = CHIPS[built.target]
+    flash, ram = 100 * built.flash_bytes / of.flash_bytes, 100 * built.ram_bytes / of.ram_bytes
     slowest_ms = max(run.tracking.plan_ms_p99 for run in ring.runs)
     rows = [
         ("flash", f"{built.flash_bytes:,} bytes, {flash:.1f} % of the chip"),

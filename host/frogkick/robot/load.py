@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.robot.geometry import require_geometry
@@ -70,6 +71,7 @@ def built_in_robots() -> tuple[str, ...]:
     return tuple(sorted(p.stem for p in BUILT_IN.glob("*.toml") if not p.stem.endswith(".profiles")))
 
 
+@typed
 def load_robot(name_or_path: Robot | str | Path) -> Robot:
     """Read a built-in robot ("frog2022") or a TOML file; a ``Robot`` is returned as it is.
 

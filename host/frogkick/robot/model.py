@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
@@ -87,6 +88,7 @@ def in_a_row(names: Sequence[str]) -> str:
     return ("" if all(len(name) == 1 for name in names) else " ").join(names)
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class Robot:
     """A robot. Robots are equal if their sha256 are.

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 import pathlib
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -51,6 +51,7 @@ class LiveLog:
             InputError: the file cannot be written.
         """
         self.path = part_of(target)
+        self._made = [place for place in target.parents if not place.exists()]
         self._fixes = self._decisions = self._changes = self._rested = 0
         self._room = len(empty.then)  # a file that others read takes no further groups
         self._unanswered: list[int] = []
@@ -126,6 +127,15 @@ class LiveLog:
         if self._error is not None:
             raise self._full() from self._error
 
+    def discard_if_empty(self) -> None:
+        """Remove the closed file of a run that has not begun, with the folders that were made for it."""
+        if self._fixes or self._decisions:
+            return
+        self.path.unlink(missing_ok=True)
+        for place in self._made:
+            with suppress(OSError):  # something else is in it
+                place.rmdir()
+
     def _full(self) -> InputError:
         return InputError(f"the log {str(self.path)!r} cannot be continued: is the disk full?")
 
@@ -150,9 +160,9 @@ class LiveLog:
                 self._condition.wait_for(lambda: self._closing, GATHER_S)
 
     def _write(self, writes: list[_Write]) -> None:
-        """Write and flush what changes in earlier rows, then new rows, of fixes first, and then paths.
+        """Write and flush what changes in earlier rows, then new fixes, then paths, then decisions.
 
-        So a decision in a log that is cut off has all that was known before it.
+        So a decision in a log that is cut off has all that was known before it, and the path that it follows.
         """
         parts: dict[str, list[AnyArray]] = {}
         for name, place, values in writes:
@@ -171,11 +181,7 @@ class LiveLog:
                 new[name][place - len(data)] = values
         for data in changed.values():
             data.flush()
-        for name in sorted(new, key=lambda name: not name.startswith("fixes/")):
-            data = self._file[name]
-            data.resize(len(data) + len(new[name]), axis=0)
-            data[len(data) - len(new[name]) :] = new[name]
-            data.flush()
+        self._append({name: rows for name, rows in new.items() if name.startswith("fixes/")})
         for name, place, values in writes:
             if name.startswith("then/"):
                 data = self._file[name]
@@ -183,6 +189,14 @@ class LiveLog:
                     data.resize((len(values),))
                 data[place] = values
                 data.flush()
+        self._append({name: rows for name, rows in new.items() if not name.startswith("fixes/")})
+
+    def _append(self, rows: Mapping[str, AnyArray]) -> None:
+        for name, values in rows.items():
+            data = self._file[name]
+            data.resize(len(data) + len(values), axis=0)
+            data[len(data) - len(values) :] = values
+            data.flush()
 
 
 @contextmanager
@@ -206,3 +220,4 @@ def logged(target: pathlib.Path | None, recording: Recording) -> Iterator[Callab
         yield live.keep
     finally:
         live.close()
+        live.discard_if_empty()

@@ -150,10 +150,14 @@ def _read(file: h5py.File) -> RunLog:
             f"run: format version {version}, this frogkick reads {FORMAT_VERSION}: use a matching frogkick"
         )
     path = _read_path(file["path"]) if "path" in file else None
-    changed = file["then/decision"][:].tolist() if "then" in file else []
-    holds = file["then/hold"][:] if "then/hold" in file else np.full((len(changed), 3), np.nan)
     names = file["decisions/action"].attrs["names"]
     fixes = Fixes(**_read_group(file, Fixes))
+    decisions = Decisions(**_read_group(file, Decisions, len(fixes)))
+    # After the decisions: a log that grows has a path before the decisions that follow it.
+    changed = file["then/decision"][:].tolist() if "then" in file else []
+    if file.attrs.get("live", False):
+        changed = [decision if decision < len(decisions) else -1 for decision in changed]
+    holds = file["then/hold"][:] if "then/hold" in file else np.full((len(changed), 3), np.nan)
     return RunLog(
         robot_id=str(file.attrs["robot_id"]),
         source=str(file.attrs["source"]),
@@ -161,7 +165,7 @@ def _read(file: h5py.File) -> RunLog:
         pulse_s=float(file.attrs["pulse_s"]),
         action_names=() if isinstance(names, h5py.Empty) else tuple(str(action) for action in names),
         fixes=fixes,
-        decisions=Decisions(**_read_group(file, Decisions, len(fixes))),
+        decisions=decisions,
         strokes=Strokes(**_read_group(file, Strokes)),
         path=path,
         # -1: the run that this is the log of has not got so far

@@ -261,8 +261,8 @@ def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
 def stamp_of(robot: Robot, parts: Sequence[bytes]) -> str:
     """Return a hash, hexadecimal, of what a kept result depends on.
 
-    These are the code and its numerical packages, the robot with the effects that its user wrote, and ``parts``:
-    contents of files and what else a study sets.
+    These are the code and its numerical packages, the robot with the effects that its user wrote, and
+    ``parts``: contents of files and what else a study sets.
     """
     digest = hashlib.sha256(code_stamp("frogkick_studies").encode() + robot.sha256)
     for part in (own_code(robot), *parts):

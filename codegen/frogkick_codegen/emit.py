@@ -11,6 +11,7 @@ import shlex
 import shutil
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.version import VERSION
-from frogkick.core.weights import WEIGHTS
+from frogkick.core.weights import COSTS, WEIGHTS
 from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables, open_image, read_image
@@ -124,6 +125,7 @@ def render(
         "banner": banner,
         "tables": tables,
         "config": config,
+        "costs": ", ".join(f"{number} = {name}" for number, name in enumerate(COSTS)),
         "config_weights": dict(zip(WEIGHTS, weights, strict=True)),
         "format_version": tables.format_version,
         "build_command": BUILD_COMMAND,
@@ -212,7 +214,8 @@ def _check_config(config: PlanConfig) -> None:
             "within 1000 m): correct the planner's configuration"
         )
     if status == kernel.ERROR_COST:
-        raise InputError(f"cost is {config.cost}, allowed is 0 (paper) or 1 (route): correct it")
+        known = " or ".join(f"{number} ({name})" for number, name in enumerate(COSTS))
+        raise InputError(f"cost is {config.cost}, allowed is {known}: correct it")
     if not 0 <= config.transitions_max < 2**32:
         raise InputError(
             f"transitions_max is {config.transitions_max}, allowed is 0 to {2**32 - 1}: correct it"
@@ -229,6 +232,7 @@ def swap_in(out_dir: Path, files: dict[str, bytes]) -> None:
     """Write into a new directory beside ``out_dir``, then put it in its place."""
     target = Path(os.path.realpath(out_dir))
     _refuse_foreign(target, out_dir, set(files))
+    made = [place for place in target.parents if not place.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
@@ -254,6 +258,9 @@ def swap_in(out_dir: Path, files: dict[str, bytes]) -> None:
         raise InputError(f"cannot write {str(out_dir)!r}: {error.strerror}; choose another --out") from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
+        for place in () if target.exists() else made:
+            with suppress(OSError):  # something else is in it
+                place.rmdir()
 
 
 def _refuse_foreign(target: Path, given: Path, names: set[str]) -> None:

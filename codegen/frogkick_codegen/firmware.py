@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -18,7 +19,7 @@ from typing import Any
 
 from frogkick.core.errors import InputError
 from frogkick.core.extras import require
-from frogkick.core.files import cache_folder, one_at_a_time, write_bytes, write_text
+from frogkick.core.files import atomic_path, cache_folder, one_at_a_time, write_bytes
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
@@ -202,12 +203,18 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
             sizes = image_sizes(made["elf"], CHIPS[target])
         else:
             made, sizes = _build_native(work, compiler or zig("host")), (0, 0, 0)
-        # First what may be refused: a folder "emitted" that is not ours.
-        swap_in(out / "emitted", rendered)
         files = {what: out / path.name for what, path in made.items()}
-        for what, path in made.items():
-            write_bytes(files[what], path.read_bytes())
-        write_text(out / "fk_robot_config.h", config)
+        contents = {files[what]: path.read_bytes() for what, path in made.items()}
+        contents[out / "fk_robot_config.h"] = config.encode()
+        with (
+            ExitStack() as until_written
+        ):  # all of it, or nothing: what a full disk refuses comes before any name
+            for file, content in contents.items():
+                with until_written.enter_context(atomic_path(file)).open("wb") as temporary:
+                    temporary.write(content)
+                    temporary.flush()
+                    os.fsync(temporary.fileno())
+            swap_in(out / "emitted", rendered)
     return Firmware(target, files["elf" if target in CHIPS else "library"], files, *sizes)
 
 

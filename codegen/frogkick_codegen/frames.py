@@ -10,7 +10,7 @@ import textwrap
 from pathlib import Path
 
 from frogkick.core.files import write_text
-from frogkick.core.weights import WEIGHTS
+from frogkick.core.weights import COSTS, WEIGHTS
 from frogkick.link.layout import Field, Payload, link_layout, supervisor
 from frogkick_codegen.emit import filled
 from frogkick_codegen.toolchain import firmware_sources
@@ -79,10 +79,16 @@ def supervisor_table() -> str:
 
 
 def plan_weights() -> str:
-    """The planner's weights in C: a list to go through, and how ``fk_plan_config_t`` begins."""
+    """The planner's costs and weights in C: a list to go through, and how ``fk_plan_config_t`` begins."""
+    lines = ["/* How a motion is judged. Numbers travel on the link. */", "typedef enum {"]
+    for number, (cost, about) in enumerate(COSTS.items()):
+        lines.append(f"    FK_COST_{cost.upper()} = {number}, /* {about} */")
+    lines += [f"    FK_COST_LAST = {len(COSTS) - 1} /* the highest number */", "} fk_cost_t;", ""]
     limits = {name: f"{weight.least:.1f}f, {weight.most:.1f}f" for name, weight in WEIGHTS.items()}
     rows = [f"    WEIGHT({name}, {name.upper()}, {limits[name]})" for name in WEIGHTS]
-    lines = ["/* Weights, lengths, places of the costs: WEIGHT(name, NAME, least 0 or -largest, largest). */"]
+    lines += [
+        "/* Weights, lengths, places of the costs: WEIGHT(name, NAME, least 0 or -largest, largest). */"
+    ]
     lines += [" \\\n".join(["#define FK_PLAN_WEIGHTS(WEIGHT)", *rows]), ""]
     lines += ["/* What to plan for. Weights of the other cost are only checked. */", "typedef struct {"]
     for name, weight in WEIGHTS.items():
@@ -93,8 +99,8 @@ def plan_weights() -> str:
 
 
 def planner_header(text: str) -> str:
-    """``text`` of fk_planner.h with today's weights."""
-    begin, end = "/* weights: made by python -m frogkick_codegen.frames */", "/* weights end */"
+    """``text`` of fk_planner.h with today's costs and weights."""
+    begin, end = "/* costs: made by python -m frogkick_codegen.frames */", "/* costs end */"
     head, _, rest = text.partition(begin)
     return f"{head}{begin}\n{plan_weights()}\n{end}{rest.partition(end)[2]}"
 

@@ -191,7 +191,7 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
         return FK_STATUS_OK;
     }
     if (parameter == FK_PARAMETER_COST) {
-        if (!is_whole_within(value, FK_COST_PAPER, FK_COST_ROUTE)) {
+        if (!is_whole_within(value, 0u, FK_COST_LAST)) {
             return FK_STATUS_VALUE;
         }
         robot->plan.cost = (uint8_t)value;

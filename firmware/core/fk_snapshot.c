@@ -96,7 +96,7 @@ static void plan(fk_walk_t *walk, fk_plan_config_t *config)
 #define WALK(name, NAME, least, most) f32(walk, &config->name, 1u);
     FK_PLAN_WEIGHTS(WALK)
     u32(walk, &config->transitions_max);
-    u8(walk, &config->cost, FK_COST_ROUTE);
+    u8(walk, &config->cost, FK_COST_LAST);
     u8(walk, &config->depth, FK_DEPTH_MAX);
 }
 

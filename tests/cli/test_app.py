@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 import frogkick
 from frogkick.cli.app import COMMANDS, LONGER, SECTIONS, STUDY_COMMANDS, app
 from frogkick.cli.main import run_command
+from frogkick.link.wire import KINDS
 
 GROUPS = {name: place for name, (place, _) in COMMANDS.items() if isinstance(place, dict)}
 NAMES = [[name] for name in COMMANDS] + [[group, name] for group in GROUPS for name in GROUPS[group]]
@@ -164,6 +165,12 @@ def test_every_study_has_its_line_its_configuration_and_its_module() -> None:
     assert configs.STUDIES.keys() == STUDY_COMMANDS.keys()
     for name in configs.STUDIES:
         assert callable(importlib.import_module(f"frogkick_studies.{name}").run)
+
+
+@pytest.mark.parametrize("command", [("run",), ("push",), ("own",), ("retune",), ("log", "fetch")])
+def test_the_help_names_every_kind_of_target(command: tuple[str, ...]) -> None:
+    told = CliRunner().invoke(app, [*command, "--help"]).stdout
+    assert all(f"{kind}:" in told for kind in KINDS)
 
 
 def test_numbers_that_stand_twice_are_the_same() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import os
 import subprocess
@@ -11,6 +12,7 @@ from typing import NamedTuple
 
 import pytest
 from tests.conftest import from_ci
+from tests.runs import rig
 
 import frogkick as fk
 from frogkick.core import files
@@ -56,6 +58,45 @@ def test_an_export_leaves_no_file_and_no_folder(tmp_path: Path) -> None:
     )  # fmt: skip
     assert "frogkick: cannot write 'some/where/" in done.stderr and "Traceback" not in done.stderr
     assert done.returncode == 2 and [each.name for each in tmp_path.iterdir()] == ["run.h5"]
+
+
+@pytest.mark.parametrize("whole", [False, True], ids=["emitted", "firmware"])
+def test_a_disk_that_fills_up_amid_several_files_leaves_none(
+    whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However far it came; and what was there before is there as it was."""
+    on_disk: set[tuple[int, int]] = set()
+    fsync, room = os.fsync, [100]
+
+    def filling(handle: int) -> None:
+        of = os.fstat(handle)
+        if (of.st_ino, of.st_mtime_ns) not in on_disk:
+            if len(on_disk) == room[0]:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            on_disk.add((of.st_ino, of.st_mtime_ns))
+        fsync(handle)
+
+    def make(out: Path, files: int) -> None:
+        on_disk.clear()
+        room[0] = files
+        if whole:
+            fk.build_firmware(rig.small_table(), "native", out)
+        else:
+            fk.emit_c(rig.small_table(), out)
+
+    def state() -> dict[str, bytes | None]:
+        return {str(at): at.read_bytes() if at.is_file() else None for at in tmp_path.rglob("*")}
+
+    rig.firmware("native")  # what is kept of it needs no room again
+    monkeypatch.setattr(os, "fsync", filling)
+    make(tmp_path / "there", 100)
+    before, needed = state(), len(on_disk)
+    assert needed > 8
+    for out in (tmp_path / "new" / "folder", tmp_path / "there"):
+        for some in range(needed):
+            with pytest.raises(fk.InputError, match="No space left on device"):
+                make(out, some)
+            assert state() == before
 
 
 @from_ci

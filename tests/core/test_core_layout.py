@@ -7,8 +7,9 @@ import re
 import pytest
 from tests.conftest import REPOSITORY
 
-from frogkick.core.weights import WEIGHTS
+from frogkick.core.weights import COSTS, WEIGHTS
 from frogkick.link.layout import link_layout
+from frogkick.planner.plan import Cost
 from frogkick_codegen import frames
 from frogkick_codegen.native import planner_files
 
@@ -23,6 +24,7 @@ def test_the_planner_s_weights_are_up_to_date() -> None:
     text = frames.PLANNER_HEADER.read_text(encoding="utf-8")
     assert frames.planner_header(text) == text, RUN
     assert {name.upper() for name in WEIGHTS} <= link_layout().parameter.keys()
+    assert {cost.name.lower(): cost.value for cost in Cost} == {name: n for n, name in enumerate(COSTS)}
 
 
 def test_the_documentation_has_every_frame() -> None:

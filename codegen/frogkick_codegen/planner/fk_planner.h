@@ -48,13 +48,14 @@ typedef struct {
     float tangent_rad[FK_PATH_POINTS_MAX]; /* direction of travel, |tangent| <= FK_HEADING_MAX_RAD */
 } fk_path_t;
 
+/* costs: made by python -m frogkick_codegen.frames */
 /* How a motion is judged. Numbers travel on the link. */
 typedef enum {
     FK_COST_PAPER = 0, /* the paper's Eq. 19, as its authors ran it */
-    FK_COST_ROUTE = 1  /* progress along the path as stage cost, course as terminal cost: route.c */
+    FK_COST_ROUTE = 1, /* progress along the path as stage cost, course as terminal cost: route.c */
+    FK_COST_LAST = 1 /* the highest number */
 } fk_cost_t;
 
-/* weights: made by python -m frogkick_codegen.frames */
 /* Weights, lengths, places of the costs: WEIGHT(name, NAME, least 0 or -largest, largest). */
 #define FK_PLAN_WEIGHTS(WEIGHT) \
     WEIGHT(distance_weight_per_m, DISTANCE_WEIGHT_PER_M, 0.0f, 1000000.0f) \
@@ -95,7 +96,7 @@ typedef struct {
     float wall_x_max_m;          /* likewise */
     float wall_y_min_m;          /* likewise */
     float wall_y_max_m;          /* likewise */
-/* weights end */
+/* costs end */
     uint32_t transitions_max;    /* transitions to evaluate before the search answers, 0 = as many as it takes;
                                   * the first level is always finished */
     uint8_t cost;                /* fk_cost_t */

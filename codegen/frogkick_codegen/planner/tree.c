@@ -48,7 +48,7 @@ static int32_t fk_config_check(const fk_plan_config_t *config)
     if ((config->depth < 1U) || (config->depth > FK_DEPTH_MAX)) {
         return FK_ERROR_DEPTH;
     }
-    if ((config->cost != (uint8_t)FK_COST_PAPER) && (config->cost != (uint8_t)FK_COST_ROUTE)) {
+    if (config->cost > (uint8_t)FK_COST_LAST) {
         return FK_ERROR_COST;
     }
 #define FK_CHECK(name, NAME, least, most) \

@@ -1,8 +1,8 @@
-"""The weights of the planner's costs, declared once.
+"""The planner's costs and their weights, declared once.
 
 The keys of a robot's file, ``PlanConfig`` and the settings of the Python planner are derived from them.
-``python -m frogkick_codegen.frames`` writes ``fk_plan_config_t`` of the C planner and its list in the
-firmware.
+``python -m frogkick_codegen.frames`` writes ``fk_cost_t`` and ``fk_plan_config_t`` of the C planner and their
+list in the firmware.
 """
 
 from __future__ import annotations
@@ -10,6 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple, get_type_hints
+
+COSTS: Mapping[str, str] = {
+    "paper": "the paper's Eq. 19, as its authors ran it",
+    "route": "progress along the path as stage cost, course as terminal cost: route.c",
+}
+"""Name in a robot's file -> meaning, as a comment in C. Its place is its number on the link."""
 
 
 class Weight(NamedTuple):

@@ -34,7 +34,7 @@ from numba import njit
 
 from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import ALLOCATING, BARE, INNER, kept, stamp_of
-from frogkick.core.weights import WEIGHTS
+from frogkick.core.weights import COSTS, WEIGHTS
 from frogkick.planner import costs
 from frogkick.planner.floats import sincos, wrap_angle
 from frogkick.planner.lookup import (
@@ -57,8 +57,8 @@ ERROR_PATH_COUNT = -6
 ERROR_PATH_POINT = -7
 ERROR_COST = -11
 
-COST_PAPER = 0
-COST_ROUTE = 1
+COST_PAPER, COST_ROUTE = range(len(COSTS))
+_COSTS = len(COSTS)
 DEPTH_MAX = 4
 PATH_POINTS_MAX = 100
 POSITION_MAX_M = np.float32(1000)
@@ -119,7 +119,7 @@ def check_settings(settings: Any, depth: int) -> int:
     """Return OK or the code of the first thing that is wrong, in the C's order."""
     if not 1 <= depth <= DEPTH_MAX:
         return ERROR_DEPTH
-    if settings.cost not in (COST_PAPER, COST_ROUTE):
+    if not 0 <= settings.cost < _COSTS:
         return ERROR_COST
     weights = settings[_WEIGHTS_FROM:]
     for index in range(len(weights)):

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from frogkick.core.arrays import AnyArray, Float32, Int64, UInt16
 from frogkick.core.errors import FrogkickError, InputError
-from frogkick.core.weights import WEIGHTS, Weights
+from frogkick.core.weights import COSTS, WEIGHTS, Weights
 from frogkick.planner import kernel
 from frogkick.planner.kernel import PLAN_ROW
 from frogkick.planner.lookup import arrays_of
@@ -32,7 +32,7 @@ STATUS_TEXT = {
     kernel.ERROR_DEPTH: "the depth is not 1 to 4: choose --depth 1 to 4",
     kernel.ERROR_WEIGHT: "a cost weight is not 0 to 1e6 (glide_lead, turn_lead: 2, wall_glide: 100; walls: "
     "+-1000 m): correct the planner section",
-    kernel.ERROR_COST: "the cost is of an unknown kind: choose paper or route",
+    kernel.ERROR_COST: f"the cost is of an unknown kind: choose {' or '.join(COSTS)}",
     kernel.ERROR_PATH_COUNT: "the path does not have 2 to 100 points: resample it",
     kernel.ERROR_PATH_POINT: "a path point is not within +-1000 m, or a tangent not within 1000 rad: correct "
     "it",

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from frogkick.core.weights import WEIGHTS, Weight, Weights
+from frogkick.core.weights import COSTS, WEIGHTS, Weight, Weights
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -199,7 +199,7 @@ else:
         "PlannerTable",
         __base__=_Table,
         cost=(
-            Literal["paper", "route"],
+            Literal[tuple(COSTS)],
             key("route: progress along the path; paper: the published cost", "paper"),
         ),
         **{name: _weight(name, weight) for name, weight in WEIGHTS.items()},

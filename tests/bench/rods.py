@@ -1,4 +1,4 @@
-"""What the rods cost (``make bench``): one lane and eight, nodes, lanes, cores, states, and PyElastica.
+"""What the rods cost (``make bench``): one lane and eight, plates, nodes, cores, states, and PyElastica.
 
 All figures are processor time, which neighbours on the machine disturb less than the clock, except where two
 processes share a job. Each is the least of several runs: nothing makes a run faster than it can be.
@@ -21,6 +21,7 @@ from tests.bench.elastica_rod import elastica_rod, frogkick_rod
 from tests.der.single import simulate_action
 
 from frogkick.der import Rods, prepare
+from frogkick.effects import changed_robot, make_effect, rods_of
 from frogkick.effects.acting import program_of
 from frogkick.effects.swims import simulate_many
 from frogkick.library import build_library
@@ -109,6 +110,40 @@ def bench_widths(effort: Effort) -> None:
     show("a batch of 8 lanes that is not full, or several of them", ("lanes", "ms"), rows)
 
 
+def bench_plates(effort: Effort) -> None:
+    """All actions, each from eight velocities; the robots take turns, because a machine's speed drifts."""
+    robots = {
+        "as it is": ROBOT,
+        "limbs are plates": _with(limb_plate=1.0),
+        "their tips shed": _with(limb_plate=1.0, shedding=1.0),
+    }
+    programs = [program_of(ROBOT, action) for action in ROBOT.actions for _ in range(8)]
+    start = np.tile(velocities(8), (len(ROBOT.actions), 1))
+
+    def swim(rods: Rods) -> float:
+        began = time.process_time()
+        simulate_many(rods, start, programs, [ROBOT.period_s])
+        return 1e3 * (time.process_time() - began) / len(programs) / ROBOT.period_s
+
+    every = {name: rods_of(robot) for name, robot in robots.items()}
+    costs = np.array([[swim(rods) for rods in every.values()] for _ in range(effort.runs + 1)])[1:]
+    ratios = np.median(costs / costs[:, :1], axis=0)
+    rows = [
+        (name, f"{cost:.2f}", f"{ratio:.2f}")
+        for name, cost, ratio in zip(every, costs.min(axis=0), ratios, strict=True)
+    ]
+    show(
+        "plates: ms for each lane and simulated second, nine actions, 8 side by side; median ratio of pairs",
+        ("limbs", "ms", "times"),
+        rows,
+    )
+
+
+def _with(limb_plate: float, shedding: float = 0.0) -> Robot:
+    effect = make_effect({"name": "limb_plate", "added": limb_plate, "shedding": shedding}, Path())
+    return changed_robot(ROBOT, [effect])
+
+
 def bench_nodes(effort: Effort) -> None:
     rows: list[Sequence[object]] = []
     for factor in (0.5, 1.0, 2.0, 4.0)[: 4 if effort.runs > 1 else 2]:
@@ -164,6 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     effort = QUICK if parser.parse_args(arguments).quick else FULL
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores; the least of {effort.runs}")
     bench_widths(effort)
+    bench_plates(effort)
     bench_nodes(effort)
     bench_library(effort)
     bench_elastica(effort)

@@ -16,7 +16,7 @@ from frogkick.core.errors import InputError
 def test_the_benchmark_tells_every_cost(capsys: pytest.CaptureFixture[str]) -> None:
     rods.main(["--quick"])
     said = capsys.readouterr().out
-    for title in ("lanes:", "actions:", "nodes:", "library:", "a plain rod"):
+    for title in ("lanes:", "actions:", "plates:", "nodes:", "library:", "a plain rod"):
         assert f"\n{title}" in said
     assert "nan" not in said
 

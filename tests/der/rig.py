@@ -102,17 +102,21 @@ def stiffness(
     return dense(symbolic, diagonal, pair)
 
 
-def dense(symbolic: SymbolicFactorisation, diagonal: np.ndarray, pair: np.ndarray) -> np.ndarray:
-    """A matrix of the solver, before it is factored, as one array."""
+def dense(
+    symbolic: SymbolicFactorisation, diagonal: np.ndarray, pair: np.ndarray, lower: np.ndarray | None = None
+) -> np.ndarray:
+    """A matrix of the solver, before it is factored, as one array; with ``lower`` as ``factor_mixed`` has
+    it."""
     n = len(diagonal)
     full = np.zeros((2 * n, 2 * n))
-    for i, (xx, xy, yy) in enumerate(diagonal):
-        full[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[xx, xy], [xy, yy]]
+    for i, (xx, xy, yy, *skew) in enumerate(diagonal):
+        full[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[xx, xy], [xy + sum(skew), yy]]
     for k, node in enumerate(symbolic.order):
         for p in range(symbolic.start[k], symbolic.start[k + 1]):
             other, block = symbolic.neighbour[p], pair[p].reshape(2, 2)
             full[2 * node : 2 * node + 2, 2 * other : 2 * other + 2] = block
-            full[2 * other : 2 * other + 2, 2 * node : 2 * node + 2] = block.T
+            below = lower[p].reshape(2, 2) if lower is not None and p < len(lower) else block.T
+            full[2 * other : 2 * other + 2, 2 * node : 2 * node + 2] = below
     return full
 
 

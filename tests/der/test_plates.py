@@ -1,4 +1,4 @@
-"""Limbs as plates: Lagrange's force of one energy, Kirchhoff's momentum, what a tip sheds, order, bits."""
+"""Limbs as plates: the force of one energy, its derivative, Kirchhoff's momentum, tips, order, bits."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 from tests.conftest import from_ci
 from tests.der.energy import bending_energy, kinetic_energy, stretching_energy
-from tests.der.rig import straight_rod
+from tests.der.rig import dense, straight_rod
 from tests.der.single import Swimmer
 from tests.der.test_physics import alone
 
 from frogkick.der import STEP_S, Batch, prepare
 from frogkick.der.lanes import lane_zeros
 from frogkick.der.mesh import Mesh
-from frogkick.der.plates import add_plate_forces, add_plate_inertia
+from frogkick.der.plates import add_plate_forces, add_plate_stiffness
 from frogkick.der.rods import add_forces, edges_of
+from frogkick.der.solve import SymbolicFactorisation, unsymmetric_steps
 from frogkick.effects import changed_robot, make_effect
+from frogkick.effects.acting import lane_effects, program_of
 from frogkick.effects.body import plate_mass_kg_per_m
 from frogkick.robot import Robot, load_robot
 
@@ -36,7 +38,9 @@ def without_drag(robot: Robot) -> Robot:
     return replace(robot, frame=replace(robot.frame, **bare), limbs=limbs)
 
 
-def plate_rod(nodes: int, water: float, shed: float = 0.0, **how: float) -> Mesh:
+def plate_rod(
+    nodes: int, water: float, shed: float = 0.0, **how: float
+) -> tuple[Mesh, SymbolicFactorisation]:
     """A free straight rod of 0.1 m, all of it a plate of ``water`` kg/m; its second end sheds."""
     mesh, symbolic = straight_rod(nodes, 0.1, **how)
     edges = np.arange(nodes - 1, dtype=np.int32)
@@ -134,25 +138,62 @@ def test_a_tip_takes_out_what_stays_in_the_wake() -> None:
         assert (shed * v).sum() == pytest.approx(-0.5 * 0.5 * 0.2**2 * abs(along), abs=1e-15)
 
 
-def test_the_matrix_is_minus_the_derivative_by_acceleration_and_symmetric_in_velocity() -> None:
-    mesh = prepare(plated()).mesh
-    x, v, _ = state(mesh, 1)
-    edges, still = edges_of(mesh, 1), lane_zeros((0, 1), 1)
-    add_forces(mesh, edges, x, v, np.zeros((1, 10)), 0, still, np.zeros_like(x))
-    for gains in ((0.0, 1.0), (1.0, 0.0)):
-        diagonal = np.zeros((len(x), 3))
-        add_plate_inertia(mesh, edges, v, *gains, diagonal)
-        for node in range(mesh.frame_nodes, len(x)):
-            block = np.empty((2, 2))
-            for axis in range(2):
-                move, d = np.zeros_like(x), 1e-4
-                move[node, axis] = d
-                ways = [(v, s * move) if gains[1] else (v + s * move, 0.0 * x) for s in (1.0, -1.0)]
-                up, down = (plate_forces(mesh, x, *way)[node] for way in ways)
-                block[:, axis] = -(up - down) / (2.0 * d)
-            symmetric = 0.5 * (block + block.T)
-            scale = np.abs(block).max()
-            assert diagonal[node] == pytest.approx(symmetric[[0, 0, 1], [0, 1, 1]], abs=1e-6 * scale)
+def _robot_with_shedding_tips() -> tuple[Mesh, SymbolicFactorisation]:
+    rods = prepare(plated(shedding=0.7))
+    return rods.mesh, rods.symbolic
+
+
+@pytest.mark.parametrize("rods", [_robot_with_shedding_tips(), plate_rod(9, 0.3, 1.0)], ids=["robot", "rod"])
+def test_the_matrix_is_minus_the_derivative_by_all_three(
+    rods: tuple[Mesh, SymbolicFactorisation],
+) -> None:
+    """By position, velocity and acceleration; the rod's edges are stored from their other end."""
+    mesh, symbolic = rods
+    x, v, a = state(mesh, 1)
+    n, edges, still = len(x), edges_of(mesh, 1), lane_zeros((0, 1), 1)
+    limbs = int(mesh.bend_column.max()) // 2
+    add_forces(mesh, edges, x, v, np.zeros((1, 2 * limbs + 2)), 0, still, np.zeros_like(x))
+    steps = unsymmetric_steps(symbolic, mesh.plate_edges)
+    for which, change in ((0, 1e-8), (1, 1e-6), (2, 1e-3)):
+        gains = [1.0 * (k == which) for k in range(3)]
+        move, start = (a, np.zeros_like(a)) if which == 2 else (np.zeros_like(a), -a)
+        diagonal, pair = np.zeros((n, 4)), np.zeros((len(symbolic.neighbour), 4))
+        lower = np.zeros((symbolic.start[steps], 4))
+        add_plate_stiffness(mesh, symbolic, edges, x, v, still, move, start, *gains, diagonal, pair, lower)
+        found = dense(symbolic, diagonal, pair, lower)
+        expected = np.empty_like(found)
+        for column in range(2 * n):
+            moved = np.zeros_like(x)
+            moved.flat[column] = change
+            up, down = (
+                plate_forces(mesh, *(each + s * moved * (k == which) for k, each in enumerate((x, v, a))))
+                for s in (1.0, -1.0)
+            )
+            expected[:, column] = (down - up).ravel() / (2.0 * change)
+        assert found == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
+
+
+@from_ci
+def test_steps_of_plates_need_no_more_corrections() -> None:
+    """Eight swims of each action, to which the machine's width is filled: none is left to go on alone."""
+    box = ROBOT.library_box
+    low, high = np.array([box.forward_mps, box.left_mps, box.omega_rad_s]).T
+    velocity = np.random.default_rng(1).uniform(low, high, size=(8, 3))
+    corrections = []
+    for robot in (ROBOT, plated(), plated(shedding=1.0)):
+        rods, found = prepare(robot), []
+        for action in ROBOT.actions:
+            batch = Batch([rods] * 8, np.zeros((8, 3)), velocity, 0.0, STEP_S, 8)
+            for lane in range(8):
+                lane_effects(robot, 8).fire_all(batch, lane, program_of(robot, action))
+            batch.advance(ROBOT.period_s)
+            assert batch._alone is None
+            found.append(batch.corrections)
+        corrections.append(np.array(found))
+    plain, *plates = corrections
+    for each in plates:
+        assert each.sum() < 1.25 * plain.sum()
+        assert each.max() < 1.4 * plain.max()
 
 
 def _momenta(swimmer: Swimmer) -> np.ndarray:

@@ -8,7 +8,7 @@ from tests.der.rig import dense, numbers
 
 from frogkick.der import prepare
 from frogkick.der.lanes import lane_floats, lane_zeros
-from frogkick.der.solve import factor, factorise_symbolically, solve
+from frogkick.der.solve import factor, factor_mixed, factorise_symbolically, solve, solve_mixed
 from frogkick.robot import load_robot
 
 
@@ -28,6 +28,34 @@ def test_the_direct_solver_agrees_with_numpy(which: str, width: int) -> None:
     for lane in range(width):
         one = [values if width == 1 else values[..., lane] for values in (diagonal, pair, right)]
         expected = np.linalg.solve(dense(symbolic, one[0], one[1]), one[2].ravel())
+        assert lane_floats(r)[..., lane].ravel() == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("width", [1, 8])
+def test_rows_of_limbs_may_be_unsymmetric(width: int) -> None:
+    """What they leave to the frame counts by its symmetric part; without that they are solved as they are."""
+    rods = prepare(load_robot("frog2022"))
+    symbolic, frame = rods.symbolic, rods.mesh.frame_nodes
+    n, rng = len(symbolic.order), np.random.default_rng(7)
+    steps = n - frame
+    inner = int(symbolic.start[steps])
+    add, shape = (40.0, 0.0, 40.0, 0.0), (lambda *s: (*s, width))
+    diagonal = rng.normal(size=shape(n, 4)) + np.array(add)[:, None]
+    pair, lower = rng.normal(size=shape(len(symbolic.neighbour), 4)), rng.normal(size=shape(inner, 4))
+    right = rng.normal(size=shape(n, 2))
+    d, p, b, r = (
+        numbers(values if width > 1 else values[..., 0], width) for values in (diagonal, pair, lower, right)
+    )
+    factor_mixed(symbolic, steps, d, p, b, lane_zeros((symbolic.widest, 4), width))
+    solve_mixed(symbolic, steps, d, p, b, r)
+    for lane in range(width):
+        matrix = dense(symbolic, *(each[..., lane] for each in (diagonal, pair, lower)))
+        cut = 2 * frame
+        left = matrix[:cut, :cut] - matrix[:cut, cut:] @ np.linalg.solve(
+            matrix[cut:, cut:], matrix[cut:, :cut]
+        )
+        matrix[:cut, :cut] -= 0.5 * (left - left.T)
+        expected = np.linalg.solve(matrix, right[..., lane].ravel())
         assert lane_floats(r)[..., lane].ravel() == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 

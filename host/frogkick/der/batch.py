@@ -15,7 +15,7 @@ from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, Rods
-from frogkick.der.schedule import STEP_S, Schedule, Stroke
+from frogkick.der.schedule import COARSEST_OF_PLATES, STEP_S, Schedule, Stroke
 from frogkick.der.solve import SymbolicFactorisation
 from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, Nodes, workspace_of
 from frogkick.der.water import STILL, WATER, Water
@@ -157,6 +157,8 @@ class Batch:
         self.time_s = np.full(self.lanes, float(time_s))
         self.failures: dict[int, Failure] = {}
         self.corrections = np.zeros(self.lanes)
+        if len(mesh.plate_edges):
+            longest_s = min(longest_s, COARSEST_OF_PLATES * step_s)
         self._schedule = Schedule([each.actuation for each in rods], self.limbs, step_s, longest_s)
         self._state = _State(mesh, rods[0].symbolic, width)
         self._alone: _State | None = None

@@ -20,9 +20,16 @@ from frogkick.core.compiled import INNER
 from frogkick.der.body import set_sums
 from frogkick.der.lanes import SimdArray, add, any_above, get, lane_zeros, put, where_above
 from frogkick.der.mesh import Mesh
-from frogkick.der.plates import add_plate_forces, add_plate_inertia
+from frogkick.der.plates import add_plate_forces, add_plate_masses, add_plate_stiffness
 from frogkick.der.rods import Edges, add_forces, add_stiffness, edges_of
-from frogkick.der.solve import SymbolicFactorisation, factor, solve
+from frogkick.der.solve import (
+    SymbolicFactorisation,
+    factor,
+    factor_mixed,
+    solve,
+    solve_mixed,
+    unsymmetric_steps,
+)
 
 SPECTRAL_RADIUS = 0.9  # damping of frequencies above the step's reach: 1 none, 0 all in one step
 ALPHA_M = (2.0 * SPECTRAL_RADIUS - 1.0) / (SPECTRAL_RADIUS + 1.0)
@@ -59,16 +66,24 @@ class Workspace(NamedTuple):
     diagonal: SimdArray
     pair: SimdArray
     scaled: SimdArray
+    lower: SimdArray
+    steps: int  # rows of the matrix that plates make unsymmetric
 
 
 def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Workspace:
     """Return work space for ``width`` lanes."""
-    n = len(mesh.mass_kg)
+    n, steps = len(mesh.mass_kg), unsymmetric_steps(symbolic, mesh.plate_edges)
     nodal = [lane_zeros((n, 2), width) for _ in range(7)]
     blocks = [
-        lane_zeros(shape, width) for shape in ((n, 3), (len(symbolic.neighbour), 4), (symbolic.widest, 4))
+        lane_zeros(shape, width)
+        for shape in (
+            (n, 4 if steps else 3),
+            (len(symbolic.neighbour), 4),
+            (symbolic.widest, 4),
+            (int(symbolic.start[steps]), 4),
+        )
     ]
-    return Workspace(edges_of(mesh, width), *nodal, *blocks)
+    return Workspace(edges_of(mesh, width), *nodal, *blocks, steps)
 
 
 @njit(**INNER)
@@ -93,7 +108,7 @@ def set_accelerations(mesh: Mesh, work: Workspace, nodes: Nodes, active: SimdArr
             put(work.diagonal, i, 1, 0.0)
             put(work.diagonal, i, 2, mesh.mass_kg[i])
         add_plate_forces(mesh, work.edges, x_m, v_mps, water, work.move_m, work.a_start, 0.0, a_mps2)
-        add_plate_inertia(mesh, work.edges, v_mps, 0.0, 1.0, work.diagonal)
+        add_plate_masses(mesh, work.edges, work.diagonal)
     for i in range(mesh.mass_kg.shape[0]):
         if plates:
             xx, xy, yy = (get(work.diagonal, i, 0), get(work.diagonal, i, 1), get(work.diagonal, i, 2))
@@ -151,6 +166,8 @@ def set_factor(
         put(work.diagonal, i, 0, inertia)
         put(work.diagonal, i, 1, 0.0)
         put(work.diagonal, i, 2, inertia)
+        if work.diagonal.shape[1] > 3:
+            put(work.diagonal, i, 3, 0.0)
     for p in range(symbolic.neighbour.shape[0]):
         for c in range(4):
             put(work.pair, p, c, 0.0)
@@ -167,8 +184,28 @@ def set_factor(
         work.pair,
     )
     if mesh.plate_edges.shape[0] > 0:
-        add_plate_inertia(mesh, work.edges, work.v_mps, velocity_gain, mass_gain, work.diagonal)
-    factor(symbolic, work.diagonal, work.pair, work.scaled)
+        for p in range(work.lower.shape[0]):
+            for c in range(4):
+                put(work.lower, p, c, get(work.pair, p, (c >> 1) + 2 * (c & 1)))
+        add_plate_stiffness(
+            mesh,
+            symbolic,
+            work.edges,
+            work.x_m,
+            work.v_mps,
+            water,
+            work.move_m,
+            work.a_start,
+            EVALUATION_SHARE,
+            velocity_gain,
+            mass_gain,
+            work.diagonal,
+            work.pair,
+            work.lower,
+        )
+        factor_mixed(symbolic, work.steps, work.diagonal, work.pair, work.lower, work.scaled)
+    else:
+        factor(symbolic, work.diagonal, work.pair, work.scaled)
 
 
 @njit(**INNER)
@@ -240,7 +277,10 @@ def run_steps(
                 break
             if iteration % factor_every == 0:
                 set_factor(mesh, symbolic, work, water, velocity_gain, mass_gain)
-            solve(symbolic, work.diagonal, work.pair, work.force_n)
+            if mesh.plate_edges.shape[0] > 0:
+                solve_mixed(symbolic, work.steps, work.diagonal, work.pair, work.lower, work.force_n)
+            else:
+                solve(symbolic, work.diagonal, work.pair, work.force_n)
             add(report, 2, 0, open_)
             for i in range(n):
                 for d in range(2):

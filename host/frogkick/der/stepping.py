@@ -56,6 +56,7 @@ class Workspace(NamedTuple):
     """Work space of ``run_steps``; its content is not used after a call."""
 
     edges: Edges
+    steps: int  # rows of the matrix that plates make unsymmetric
     x_m: SimdArray
     v_mps: SimdArray
     v_start: SimdArray
@@ -67,7 +68,6 @@ class Workspace(NamedTuple):
     pair: SimdArray
     scaled: SimdArray
     lower: SimdArray
-    steps: int  # rows of the matrix that plates make unsymmetric
 
 
 def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Workspace:
@@ -83,7 +83,7 @@ def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Wor
             (int(symbolic.start[steps]), 4),
         )
     ]
-    return Workspace(edges_of(mesh, width), *nodal, *blocks, steps)
+    return Workspace(edges_of(mesh, width), steps, *nodal, *blocks)
 
 
 @njit(**INNER)

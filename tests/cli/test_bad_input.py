@@ -65,6 +65,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "file").write_text("x")
     toml = load_robot("frog2022").toml
     (folder / "robot.toml").write_text(toml)
+    (folder / "bad_effect.toml").write_text(toml + '\n[[effect]]\nname = "drag_scal"\n')
     (folder / "newt.toml").write_text(toml.replace('"frog2022"', '"newt"'))
     (folder / "bad_key.toml").write_text(toml.replace("period_s", "periodd_s"))
     (folder / "bad_value.toml").write_text(toml.replace("period_s = ", "period_s = -"))
@@ -133,6 +134,7 @@ CASES = {
     "robot file missing": "simulate {missing.toml}",
     "robot with a bad key": "simulate {bad_key.toml} --out out/x.csv",
     "robot with a bad value": "library build {bad_value.toml} --states 1 --out out/lib.h5",
+    "robot with an unknown effect": "robot show {bad_effect.toml} --out out/x.png",
     "robot is broken": "simulate {broken.toml}",
     "robot is a folder": "simulate {folder}",
     "robot is a table": "simulate {x.fkt}",

@@ -263,11 +263,24 @@ def test_a_user_s_parameters_are_those_that_the_class_names(tmp_path: Path) -> N
         catalogue(ROBOT, tmp_path / "own.py")
 
 
+HUGE = 10**400
+"""Which TOML holds, and no float."""
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("[[effect]]\nname = 3\n", "no effect '3'"),
         ("effect = 3\n", "an effect that is no table"),
+        ('[[effect]]\nname = "limb_wear"\nlimb = "tail"\n', "has no limb 'tail'"),
+        (
+            f'[[effect]]\nname = "drag_scale"\nframe = {HUGE}\n',
+            "frame of an effect is 1000000000..., a number",
+        ),
+        (
+            f'[[effect]]\nname = "law"\nforward_n = "a"\nparameters.a = {{unit = "N", low = -{HUGE}}}\n',
+            "low of an effect is -100000000..., a number beyond",
+        ),
         ("[[effects]]\n", "has effects: a world has"),
         ("[[effect]\n", "cannot be read as TOML"),
         ('[[effect]]\nfile = "mine.py"\n', "has no effect class None"),
@@ -280,7 +293,7 @@ def test_a_wrong_world_is_refused_in_one_line(tmp_path: Path, text: str, words: 
     (tmp_path / "broken.py").write_text("1 / 0\n")
     (tmp_path / "world.toml").write_text(text)
     with pytest.raises(InputError, match=words) as caught:
-        read_world(tmp_path / "world.toml")
+        read_world(tmp_path / "world.toml", load_robot("frog2022"))
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(f"world file '{tmp_path / 'world.toml'}'")
 

@@ -273,6 +273,7 @@ def test_run_that_never_fires(tmp_path: pathlib.Path) -> None:
         (7, 10, "", "line 10 column 'cost_progress' is ''"),
         (5, 11, "Q", "line 8: last action is 'Q'"),
         (30, 0, "43200000", "line 33: time goes back"),
+        (4, 1, "1e308", "line 7 column 'x' is '1e308', more than 1e.09: correct it or cut that line"),
     ],
 )
 def test_bad_cells(tmp_path: pathlib.Path, row: int, column: int, cell: str, text: str) -> None:
@@ -281,6 +282,24 @@ def test_bad_cells(tmp_path: pathlib.Path, row: int, column: int, cell: str, tex
     with pytest.raises(InputError, match=text) as caught:
         load_run(write(tmp_path, cells))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("before", ["", "\ufeff"], ids=["plain", "with BOM"])
+def test_line_ends_and_empty_lines_do_not_matter(tmp_path: pathlib.Path, before: str, end: str) -> None:
+    """As editors and mail leave them; errors name the lines as an editor counts them."""
+    made_up(tmp_path)
+    plain = load_run(tmp_path / "line7.csv")
+    text = (tmp_path / "line7.csv").read_text()
+    other = before + "\n" + "\n\n , ,\n".join(text.splitlines())
+    (tmp_path / "line7.csv").write_bytes(other.replace("\n", end).encode())
+    again = load_run(tmp_path / "line7.csv")
+    for group in ("fixes", "decisions", "strokes"):
+        first, second = getattr(plain, group).all_columns(), getattr(again, group).all_columns()
+        assert all(np.array_equal(first[name], second[name], equal_nan=True) for name in first)
+    (tmp_path / "line7.csv").write_bytes(other.replace(",theta,", ",").replace("\n", end).encode())
+    with pytest.raises(InputError, match="'theta' is missing in line 5"):
+        load_run(tmp_path / "line7.csv")
 
 
 def test_bad_files(tmp_path: pathlib.Path) -> None:

@@ -46,6 +46,7 @@ def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
         InputError: no such effect, file or class, a file that does not run, or wrong parameters.
     """
     values = {key: value for key, value in table.items() if key not in ("name", "file", "class")}
+    _require_floats(values)
     if "file" in table:
         return _own(folder / str(table["file"]), table.get("class"), values)
     name = str(table.get("name"))
@@ -55,6 +56,15 @@ def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
             "or file and class of your own"
         )
     return BUILT_IN[name](**values)
+
+
+def _require_floats(values: Mapping[str, Any]) -> None:
+    """Raise InputError for a whole number that no float holds: TOML has them of any length."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            _require_floats(value)
+        elif isinstance(value, int) and abs(value) >= 2**63:
+            raise InputError(f"{key} of an effect is {str(value)[:10]}..., a number beyond 2^63: correct it")
 
 
 @typed
@@ -76,7 +86,10 @@ def effects_of(robot: Robot) -> tuple[Effect, ...]:
                 f"robot {robot.id!r} has an effect of its own in {table['file']!r}, which did not come "
                 "along: name the robot's TOML file"
             )
-    effects = make_effects(robot.effects, robot.folder or Path())
+    try:
+        effects = make_effects(robot.effects, robot.folder or Path())
+    except InputError as error:
+        raise InputError(f"robot {robot.id!r}: {error}") from None
     for effect in effects:
         effect.check(robot)
     return effects
@@ -173,13 +186,20 @@ class World:
 
 
 @typed
-def read_world(path: World | Path | str) -> World:
+def read_world(path: World | Path | str, robot: Robot | None = None) -> World:
     """Read a world's TOML file; a world is returned unchanged.
 
+    Args:
+        path: the file; a world.
+        robot: the robot that is to swim in it.
+
     Raises:
-        InputError: no such file, not TOML, a key that is not ``effect``, or an invalid effect.
+        InputError: no such file, not TOML, a key that is not ``effect``, or an effect that is invalid or does
+            not fit the robot.
     """
     if isinstance(path, World):
+        if robot is not None:
+            _require_fit(path, robot)
         return path
     if not isinstance(path, Path | str):
         raise InputError(f"world is a {type(path).__name__}: give fk.World([...]) of effects, or a TOML file")
@@ -196,6 +216,14 @@ def read_world(path: World | Path | str) -> World:
             "a world has [[effect]] tables and nothing else"
         )
     try:
-        return World(make_effects(tables, file.parent))
+        world = World(make_effects(tables, file.parent))
+        if robot is not None:
+            _require_fit(world, robot)
+        return world
     except InputError as error:
         raise InputError(f"world file {str(path)!r}: {error}") from None
+
+
+def _require_fit(world: World, robot: Robot) -> None:
+    for effect in world.effects:
+        effect.check(robot)

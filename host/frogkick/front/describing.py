@@ -13,6 +13,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 from frogkick.der import prepare
+from frogkick.effects import effects_of
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
 from frogkick.robot.profile import Profile, Stroke, fit_stroke, read_stroke, write_profiles
 from frogkick.robot.template import new_robot_text
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
 
 
 def describe(robot: Robot) -> dict[str, Any]:
-    """The keys of the command ``robot show``: the robot as it is simulated, with lengths at rest."""
+    """The keys of the command ``robot show``: the robot as it is simulated, with lengths at rest.
+
+    Raises:
+        InputError: an effect of its file is none, or does not fit it.
+    """
+    effects_of(robot)
     mesh, guard = prepare(robot).mesh, robot.guard
     corners = np.array(robot.frame.corners_m)
 

@@ -310,9 +310,10 @@ def run(
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
     require_time(time_limit_s)
     require_seed(seed)
-    true = World() if world is None else copy.deepcopy(read_world(world))  # an effect may keep state
     used = load_table(table, model)
     described = used.robot
+    # An effect may keep state.
+    true = World() if world is None else copy.deepcopy(read_world(world, described))
     check = LiveCheck() if plan == "both" else None
     stopped = threading.Event()  # by the button of the page
     config = walled(plan_config(described, planner, depth), inside, used, fixes)

@@ -258,13 +258,14 @@ def served_pool(
     held = existing_file(kept, "flash").read_bytes() if kept is not None and kept.exists() else None
     calibration = None if camera is None else read_calibration(Path(camera))
     scene = Scene() if calibration is None else scene_of(calibration, Conditions())
-    true = World() if world is None else copy.deepcopy(read_world(world))  # an effect may keep state
     length_m, width_m = scene.pool_m
     first = (0.3 * length_m, 0.5 * width_m, 0.0)
     if begin is not None:
         first = _pose_in(scene.pool_m, begin, "--begin")
     used = load_table(table, model)
     described, limbs = used.robot, len(used.robot.limbs)
+    # An effect may keep state.
+    true = World() if world is None else copy.deepcopy(read_world(world, described))
     rng = np.random.default_rng(seed)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())

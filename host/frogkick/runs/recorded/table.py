@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import math
 import pathlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,8 @@ COLUMNS = (
 ACTION_NAMES = tuple("ABCDEFGHI")
 HEADER_LINES = 2
 DAY_MS = 86_400_000
+LARGEST = 1e9
+"""No number of a run is larger, its time stamps included."""
 SPACING_MIN_S = 0.020
 """Every second frame of a 30 Hz camera is logged, so true spacings are longer."""
 SETTLED_ROWS = 5
@@ -76,10 +79,12 @@ def read_table(file: pathlib.Path | str) -> Table:
             f"{name!r} is not a run: give a log (.h5) of 'frogkick run', or a recorded one like line1.csv"
         ) from error
     try:
-        lines = list(csv.reader(text.replace("\0", "?").splitlines()))
+        reader = csv.reader(text.replace("\0", "?").splitlines())
+        numbered = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
     except csv.Error as error:
         raise InputError(f"{name!r} is not a recorded run ({error}): give a run like line1.csv") from error
-    if not lines or not lines[0] or lines[0][0].strip() != FIRST_CELL:
+    lines = [cells for _, cells in numbered]
+    if not lines or lines[0][0].strip() != FIRST_CELL:
         raise InputError(
             f"{name!r} is not a recorded run (no {FIRST_CELL!r} in line 1): give one like line1.csv"
         )
@@ -87,17 +92,15 @@ def read_table(file: pathlib.Path | str) -> Table:
     missing = [column for column in HEADER if column not in header]
     if missing:
         raise InputError(
-            f"recorded run {name!r}: column {missing[0]!r} is missing in line 2: give the whole file"
+            f"recorded run {name!r}: column {missing[0]!r} is missing in line "
+            f"{numbered[1][0] if len(numbered) > 1 else 2}: give the whole file"
         )
-    rows = lines[HEADER_LINES:]
-    while rows and not any(cell.strip() for cell in rows[-1]):
-        rows.pop()
+    rows = numbered[HEADER_LINES:]
     if len(rows) < 2:
         raise InputError(f"recorded run {name!r} holds {len(rows)} rows: at least 2 are needed")
     values = np.empty((len(rows), len(COLUMNS) - 1))
     action = np.empty(len(rows), dtype=np.int64)
-    for index, row in enumerate(rows):
-        number = index + HEADER_LINES + 1
+    for index, (number, row) in enumerate(rows):
         if len(row) != len(COLUMNS):
             raise InputError(
                 f"recorded run {name!r} line {number} has {len(row)} columns, expected {len(COLUMNS)}: "
@@ -114,7 +117,7 @@ def read_table(file: pathlib.Path | str) -> Table:
                 f"{ACTION_NAMES[0]} to {ACTION_NAMES[-1]}: repair that line"
             )
         action[index] = ACTION_NAMES.index(label)
-    time_ms, carried = _carry_midnight(values[:, 0], name)
+    time_ms, carried = _carry_midnight(values[:, 0], name, [number for number, _ in rows])
     return Table(
         started=lines[0][1].strip() if len(lines[0]) > 1 else "",
         time_s=(time_ms - time_ms[0]) * 1e-3,
@@ -133,10 +136,12 @@ def _number(cell: str, where: str) -> float:
         raise InputError(f"{where} is {cell.strip()!r}: give a number") from None
     if not math.isfinite(value):
         raise InputError(f"{where} is {cell.strip()!r}: give a finite number or cut that line")
+    if abs(value) > LARGEST:
+        raise InputError(f"{where} is {cell.strip()!r}, more than {LARGEST:g}: correct it or cut that line")
     return value
 
 
-def _carry_midnight(stamp_ms: Float64, name: str) -> tuple[Float64, Bool]:
+def _carry_midnight(stamp_ms: Float64, name: str, lines: Sequence[int]) -> tuple[Float64, Bool]:
     """Time stamps across midnight: a step back by half a day or more is the next day."""
     step = np.diff(stamp_ms)
     days = np.concatenate([[0.0], np.cumsum(step < -DAY_MS / 2)])
@@ -145,7 +150,7 @@ def _carry_midnight(stamp_ms: Float64, name: str) -> tuple[Float64, Bool]:
     if back.size:
         row = int(back[0]) + 1
         raise InputError(
-            f"recorded run {name!r} line {row + HEADER_LINES + 1}: time goes back from "
+            f"recorded run {name!r} line {lines[row]}: time goes back from "
             f"{stamp_ms[row - 1]:.0f} to "
             f"{stamp_ms[row]:.0f} ms: sort the lines or cut the run there"
         )

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class _State:
         moves = any(water != STILL for water in self.water)
         numbers = lane_zeros((WATER if moves else 0, 1), self.width)
         if moves:
-            lane_floats(numbers)[:, 0, :] = np.column_stack([water.numbers() for water in self.water])
+            lane_floats(numbers)[:, 0, :] = np.array([water.numbers() for water in self.water]).T
         return numbers
 
     def run(
@@ -93,10 +94,10 @@ class _State:
             mesh, symbolic, self._work, self.nodes, lengths, active, self._water(), factor_every, report, sums
         )
         rows = lane_floats(sums)
-        traces = [
-            body_motion(np.ascontiguousarray(rows[:count, :, lane])) if trace else np.empty((0, MOTION))
-            for lane, count in enumerate(steps)
-        ]
+        every, ends = np.empty((0, MOTION)), np.cumsum(steps).tolist()
+        if trace:  # of all lanes in one call
+            every = body_motion(np.concatenate([rows[:count, :, lane] for lane, count in enumerate(steps)]))
+        traces = [every[end - count : end] for end, count in zip(ends, steps, strict=True)]
         return lane_floats(report)[:, 0, :].copy(), traces
 
     def motion(self) -> Float64:
@@ -268,8 +269,9 @@ class Batch:
                 ends[lane], rows[lane] = self._continue_alone(
                     lane, mine, int(report[0, lane]), float(report[1, lane]), rows[lane]
                 )
-            rows[lane][:, 0:2] += self._origin[lane]
-            rows[lane][:, 6:8] += self._origin[lane]
+            if trace:
+                rows[lane][:, 0:2] += self._origin[lane]
+                rows[lane][:, 6:8] += self._origin[lane]
         self._recentre(some)
         return [(ends[lane], rows[lane]) for lane in range(self.lanes)]
 
@@ -326,17 +328,17 @@ class Batch:
         return np.concatenate(ends), np.concatenate(rows)
 
     def _recentre(self, lanes: Sequence[int]) -> None:
-        motion = self._state.motion()
-        for lane in lanes:
-            self._origin[lane] += motion[lane, :2]
-            lane_floats(self._state.nodes.x_m)[..., lane] -= motion[lane, :2]
+        centres, x = self._state.motion()[:, :2], lane_floats(self._state.nodes.x_m)
+        some = slice(0, self.lanes) if len(lanes) == self.lanes else lanes
+        self._origin[some] += centres[some]
+        x[..., some] -= centres[some].T
 
-    @property
+    @cached_property
     def mass_kg(self) -> float:
         """Mass of a robot, including added mass."""
         return float(self._state.mesh.mass_kg.sum())
 
-    @property
+    @cached_property
     def inertia_kg_m2(self) -> float:
         """Moment of inertia about the centre of mass with all limbs at rest, including added mass."""
         mesh = self._state.mesh

@@ -10,10 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numba import njit
 
-from frogkick.core.arrays import Float64
 from frogkick.core.compiled import INNER
 from frogkick.der.lanes import SimdArray, get
 
@@ -31,17 +29,10 @@ class Water:
     push_mps2: tuple[float, float] = (0.0, 0.0)  # (2,) acceleration of the body
     turn_rad_s2: float = 0.0  # angular acceleration of the body
 
-    def numbers(self) -> Float64:
-        """Return (WATER,) numbers for the compiled functions."""
-        return np.array(
-            [
-                *self.flow_mps,
-                *self.gradient_per_s[0],
-                *self.gradient_per_s[1],
-                *self.push_mps2,
-                self.turn_rad_s2,
-            ]
-        )
+    def numbers(self) -> tuple[float, ...]:
+        """Return the WATER numbers for the compiled functions."""
+        along, aside = self.gradient_per_s
+        return (*self.flow_mps, *along, *aside, *self.push_mps2, self.turn_rad_s2)
 
 
 STILL = Water()

@@ -161,10 +161,10 @@ class Acting:
             going = np.flatnonzero(left_s > 0.0)
             if not len(going) and traces:
                 break
-            poses, velocities = batch.pose_world(), batch.velocity_body()
+            motion = batch.motion_world()
             for lane in going.tolist():
-                now_s = float(batch.time_s[lane])
-                batch.set_water(lane, self.water(batch, now_s, poses[lane], velocities[lane]))
+                now_s, row = float(batch.time_s[lane]), motion[lane]
+                batch.set_water(lane, self.water(batch, now_s, row[:3], row[3:6]))
             ends = np.where(left_s <= 1.5 * self.leg_s, until, batch.time_s + self.leg_s)
             traces.append(batch.advance(np.where(left_s > 0.0, ends, batch.time_s), trace))
         legs = [[leg[lane] for leg in traces] for lane in range(batch.lanes)]
@@ -197,9 +197,12 @@ class Acting:
         """
         if not (self._flows or self._wrenches):
             return STILL
+        gradient = ((0.0, 0.0), (0.0, 0.0))
+        if not self._flows:
+            force_x, force_y, turn = self._push(time_s, batch, pose, velocity)
+            return Water((0.0, 0.0), gradient, (force_x, force_y), turn)
         centre = np.asarray(pose[:2], dtype=np.float64)
         flow, push = self._flow(time_s, centre), self._push(time_s, batch, pose, velocity)
-        gradient = ((0.0, 0.0), (0.0, 0.0))
         if not self._uniform:
             slopes = []
             for side in (np.array([_APART_M, 0.0]), np.array([0.0, _APART_M])):
@@ -248,8 +251,8 @@ def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> Program:
 
 def body_at(time_s: float, pose: Float64, velocity: Float64) -> Body:
     """Return a body from its pose (3,), world frame, and its velocity (3,), body frame."""
-    x, y, heading = (float(value) for value in pose)
-    forward, left, omega = (float(value) for value in velocity)
+    x, y, heading = np.asarray(pose, dtype=np.float64).tolist()
+    forward, left, omega = np.asarray(velocity, dtype=np.float64).tolist()
     return Body(time_s, (x, y, heading), (forward, left, omega))
 
 

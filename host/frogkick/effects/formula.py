@@ -188,7 +188,7 @@ class Formula:
     text: str
     names: frozenset[str]
     _run: _Run
-    _tree: ast.expr
+    _run_arrays: _Run
 
     def __call__(self, values: Mapping[str, float]) -> float:
         """Return its value; infinite or NaN if it has none.
@@ -202,7 +202,7 @@ class Formula:
         """Return its values for arrays of all its names, of one shape each, or numbers."""
         arrays = {name: np.asarray(values[name], np.float64) for name in self.names}
         with np.errstate(all="ignore"):
-            return np.asarray(_compiled(self._tree, _OF_ARRAYS)(arrays), np.float64)
+            return np.asarray(self._run_arrays(arrays), np.float64)
 
 
 def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
@@ -229,7 +229,7 @@ def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
             f"formula {text!r} comes out in {in_words(unit or ONE)}, needed is {in_words(wanted)}: "
             "check its units"
         )
-    return Formula(text, frozenset(reader.names), _compiled(tree, _OF_NUMBERS), tree)
+    return Formula(text, frozenset(reader.names), _compiled(tree, _OF_NUMBERS), _compiled(tree, _OF_ARRAYS))
 
 
 class _Reader:

@@ -119,16 +119,18 @@ def linearised_optimum(
     What few periods show has little weight until the step explains it.
     """
     found = np.zeros(jacobian.shape[2])
-    after, best = residuals, deviance_of(residuals)
+    after = residuals
+    scale, best = _maximum_likelihood_scale(residuals)
     for _ in range(REWEIGHTINGS_MAX):
         # From the present point: an outlier that the step explains has full weight again.
-        flat, columns = whiten(whitener(after), after, jacobian)
+        flat, columns = whiten(_whitener_of(scale), after, jacobian)
         flat = np.concatenate([flat, np.sqrt(damping) * found])
         columns = np.concatenate([columns, np.diag(np.sqrt(damping))])
         move = bounded_step(columns, flat, np.zeros(len(found)), low - found, high - found)
         gain, step = 0.0, found + move
-        while (deviance := deviance_of(residuals + jacobian @ step)) < best:
-            gain, best, found = gain + best - deviance, deviance, step
+        while (tried := _maximum_likelihood_scale(residuals + jacobian @ step))[1] < best:
+            gain, found = gain + best - tried[1], step
+            scale, best = tried
             # Each reweighting goes a little farther in the same direction: doubling the step saves some.
             move = 2.0 * move
             step = np.clip(found + move, low, high)
@@ -174,7 +176,11 @@ def _shrunk(scale: Float64, count: int) -> Float64:
 
 def whitener(residuals: Float64) -> Float64:
     """(d, d) whitening matrix: (n, d) residuals times it are uncorrelated and of scale one."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(scale_of(residuals))).T)
+    return _whitener_of(scale_of(residuals))
+
+
+def _whitener_of(scale: Float64) -> Float64:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(scale)).T)
 
 
 def whiten(white: Float64, residuals: Float64, jacobian: Float64) -> tuple[Float64, Float64]:

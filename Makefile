@@ -8,6 +8,8 @@ DOCS_STAMP := $(VENV)/.installed-for-the-docs
 # uv, where it is there, installs the same in less time.
 UV := $(shell command -v uv 2>/dev/null)
 INSTALL := $(if $(UV),$(UV) pip install --python $(BIN)/python,$(BIN)/python -m pip install --disable-pip-version-check)
+# Python compiles what it loads, a quarter of it, instead of pip all that was installed, for half a minute. uv does the same.
+PLAIN := $(if $(UV),,--no-compile)
 # How many cases tests count: quick for a newcomer, ci as .ci/run has them, full with make test-full.
 export FK_LEVEL ?= quick
 # Dozens of processes load the same files: what Python has compiled of them is kept, whatever a machine's settings say.
@@ -65,17 +67,16 @@ endef
 $(STAMP): pyproject.toml requirements.lock
 	$(NEW_VENV)
 	@echo "installing $$(grep -c '==' requirements.lock) packages into $(VENV), once: what was tried together (requirements.lock)"
-	$(INSTALL) -r requirements.lock
-	$(INSTALL) --no-deps --no-build-isolation -e .
+	$(INSTALL) $(PLAIN) -r requirements.lock
+	$(INSTALL) $(PLAIN) --no-deps --no-build-isolation -e .
 	@touch $(STAMP) $(DEMO_STAMP)
 
-# Half of them: without what only tests, cameras on tags of another family, clusters and probes need. Python compiles what
-# it loads, instead of all that was installed.
+# Half of them: without what only tests, cameras on tags of another family, clusters and probes need.
 $(DEMO_STAMP): pyproject.toml requirements.lock
 	$(NEW_VENV)
 	@echo "installing what the demo needs into $(VENV), once: versions as in requirements.lock"
 	$(INSTALL) -c requirements.lock setuptools
-	$(INSTALL) $(if $(UV),,--no-compile) -c requirements.lock --no-build-isolation -e '.[firmware]'
+	$(INSTALL) $(PLAIN) -c requirements.lock --no-build-isolation -e '.[firmware]'
 	@touch $(DEMO_STAMP)
 
 $(DOCS_STAMP): $(STAMP) host/docs/requirements.lock

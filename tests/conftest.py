@@ -181,16 +181,16 @@ def compile_once() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """In make test without the tests from_ci; the dearest first.
 
-    Files are dealt to processes in this order, which then end together. Before them three files that compile
-    different parts in a fresh clone: rods, planner and C. Files that wait for a radio in real time are spread
-    among those that compute, or all processes would wait at once.
+    Files are dealt to processes in this order, which then end together. First three files that compile
+    different parts in a fresh clone: rods (the longest file of all), planner and C. Files that wait for a
+    radio in real time are spread among those that compute, or all processes would wait at once.
     """
     if LEVEL == "quick":
         kept = [item for item in items if not item.get_closest_marker("from_ci")]
         counted[LEFT_OUT] = len(items) - len(kept)
         items[:] = kept
     dear = (
-        "studies/test_convergence.py", "codegen/test_parity.py", "core/test_core_fuzz.py",
+        "identification/test_laws.py", "codegen/test_parity.py", "core/test_core_fuzz.py",
         "studies", "front", "identification", "library", "cli/test_commands.py", "robot/test_family_chain.py",
         "structure/test_wheel.py", "report", "bench", "codegen", "core", "firmware/test_zephyr_lives.py",
         "soak",

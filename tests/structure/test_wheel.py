@@ -154,7 +154,7 @@ def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment
 
 
 @pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
-@pytest.mark.parametrize("name", some(["run", "swim"], 1, 1))
+@pytest.mark.parametrize("name", some(["swim", "run"], 1, 1))
 def test_an_example_runs_from_the_wheel(name: str, whole: Environment) -> None:
     said = whole.script(REPOSITORY / "host" / "examples" / f"{name}.py")
     assert said.code == 0, said.stderr

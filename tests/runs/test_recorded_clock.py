@@ -8,7 +8,7 @@ import shutil
 
 import numpy as np
 import pytest
-from tests.conftest import from_ci, some
+from tests.conftest import few_pieces, from_ci, some
 from tests.identification.made import robot_option
 from tests.runs.test_recorded import REST, RUNS
 from typer.testing import CliRunner
@@ -151,6 +151,7 @@ def without_a_clock(source: pathlib.Path, folder: pathlib.Path) -> pathlib.Path:
 
 
 @from_ci
+@few_pieces
 def test_a_run_without_a_clock_changes_nothing_among_good_ones(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -119,6 +119,10 @@ def pytest_configure(config: pytest.Config) -> None:
             )
         if sys.platform != "win32":
             compile_once()
+        from frogkick.identification import batching
+
+        # Processes side by side have no processors left: a rollout's lanes stay in the one that asks.
+        batching._processors = lambda: 1
 
 
 def rewrite_a_share(config: pytest.Config, worker: int, workers: int) -> None:

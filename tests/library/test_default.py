@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count, from_ci
+from tests.conftest import count, few_pieces, from_ci
 from tests.identification.made import robot
 
 from frogkick.core.progress import Tell
@@ -56,6 +56,7 @@ def test_a_library_that_is_too_small_for_an_affine_table_gives_a_nearest_one(tmp
 
 
 @from_ci
+@few_pieces
 def test_it_is_the_table_of_commands_that_are_given_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,7 +66,8 @@ def test_it_is_the_table_of_commands_that_are_given_none(
 
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr("frogkick.front.tables.STATES", WHOLE_MIN)
-    ROBOT.save(tmp_path / "own.toml")
+    few = robot()
+    few.save(tmp_path / "own.toml")
     kept = fk.load_table(robot=str(tmp_path / "own.toml"))
-    ours = make_tables(ROBOT, tmp_path, WHOLE_MIN, 0, stage, "library")
+    ours = make_tables(few, tmp_path, WHOLE_MIN, 0, stage, "library")
     assert kept.kind == "affine" and np.array_equal(kept.tables.states, open_image(ours.read_bytes()).states)

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from tests.conftest import count, from_ci
+from tests.conftest import count, few_pieces, from_ci
 from tests.identification.made import robot
 
 from frogkick.der import prepare
@@ -29,11 +29,13 @@ def first_table(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @from_ci
+@few_pieces
 def test_planned_states_are_drawn_again_whoever_simulates() -> None:
-    one = list(itertools.islice(planned_swims(ROBOT, 3), 2))
+    few = robot()
+    one = list(itertools.islice(planned_swims(few, 3), 2))
     assert [len(swims) for swims in one] == [8, 8]
-    assert one == list(itertools.islice(planned_swims(ROBOT, 3, workers=2), 2))
-    assert one[0] != next(planned_swims(ROBOT, 4))
+    assert one == list(itertools.islice(planned_swims(few, 3, workers=2), 2))
+    assert one[0] != next(planned_swims(few, 4))
     assert len({tuple(swim) for swims in one for swim in swims}) > 8
 
 

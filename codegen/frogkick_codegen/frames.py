@@ -80,7 +80,7 @@ def supervisor_table() -> str:
 
 def plan_weights() -> str:
     """The planner's costs and weights in C: a list to go through, and how ``fk_plan_config_t`` begins."""
-    lines = ["/* How a motion is judged. Numbers travel on the link. */", "typedef enum {"]
+    lines = ["/* The cost of a motion. The numbers are part of the link's protocol. */", "typedef enum {"]
     for number, (cost, about) in enumerate(COSTS.items()):
         lines.append(f"    FK_COST_{cost.upper()} = {number}, /* {about} */")
     lines += [f"    FK_COST_LAST = {len(COSTS) - 1} /* the highest number */", "} fk_cost_t;", ""]

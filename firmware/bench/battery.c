@@ -7,7 +7,7 @@
 #include "time.h"
 
 #define INPUTS 8u
-#define IS_SEEN(input) (((FK_BATTERY_INPUTS) >> (input)) & 1u)
+#define IS_READ(input) (((FK_BATTERY_INPUTS) >> (input)) & 1u)
 
 /* AIN4 to AIN7 are P0.28 to P0.31, the gates of limbs 5 to 8. */
 typedef char fk_battery_input_is_no_gate[((((FK_BATTERY_INPUTS) >> 4) & ((1u << FK_BOARD_LIMBS) - 1u) >> 4) == 0u) ? 1 : -1];
@@ -27,8 +27,8 @@ void fk_battery_pins_init(void)
     }
     fk_battery_init(&battery);
     for (uint32_t input = 0u; input < INPUTS; ++input) {
-        if (IS_SEEN(input) != 0u) {
-            SAADC_CH_CONFIG(count) = SAADC_CH_CONFIG_TACQ_40us << SAADC_CH_CONFIG_TACQ_Pos; /* dividers are of high resistance */
+        if (IS_READ(input) != 0u) {
+            SAADC_CH_CONFIG(count) = SAADC_CH_CONFIG_TACQ_40us << SAADC_CH_CONFIG_TACQ_Pos; /* for dividers of high resistance */
             SAADC_CH_PSELP(count) = input + SAADC_CH_PSELP_PSELP_AnalogInput0;
             ++count;
         }
@@ -45,7 +45,7 @@ static int32_t lowest_mv(void)
     int32_t lowest = FULL_MV;
     uint32_t count = 0u;
     for (uint32_t input = 0u; input < INPUTS; ++input) {
-        if (IS_SEEN(input) != 0u) {
+        if (IS_READ(input) != 0u) {
             int32_t here_mv = (results[count] * FULL_MV) >> FULL_BITS;
             lowest = (here_mv < lowest) ? here_mv : lowest;
             ++count;
@@ -62,7 +62,7 @@ void fk_battery_pins_service(int32_t limb_is_on)
     if (SAADC_EVENTS_END != 0u) {
         SAADC_EVENTS_END = 0u;
         fk_battery_note(&battery, lowest_mv(), FK_BATTERY_LEAST_MV);
-        SAADC_TASKS_START = 1u; /* room for the next ones; it is ready long before these are asked for */
+        SAADC_TASKS_START = 1u; /* a buffer for the next readings; it is ready long before they are begun */
     }
     if (fk_battery_is_due(&battery, fk_time_now_us(), limb_is_on, FK_BATTERY_LEAST_MV) != 0) {
         SAADC_TASKS_SAMPLE = 1u;

@@ -20,8 +20,8 @@
 #endif
 typedef char fk_board_limbs_fit[(FK_BOARD_LIMBS >= 1u && FK_BOARD_LIMBS <= FK_BOARD_LIMBS_MAX) ? 1 : -1];
 
-/* Below this supply of the chip nothing is heated: a value of POFCON.THRESHOLD, 14 = 2.7 V (15 = 2.8 V is the highest). The
- * kit runs at 3.0 V. */
+/* Below this supply of the chip nothing is heated: a value of POFCON.THRESHOLD, 14 = 2.7 V (15 = 2.8 V is the
+ * highest). The kit runs at 3.0 V. */
 #ifndef FK_BOARD_SUPPLY_LEAST
 #define FK_BOARD_SUPPLY_LEAST POWER_POFCON_THRESHOLD_V27
 #endif

@@ -3,8 +3,8 @@
 
 #include <stdint.h>
 
-/* Switch the flash's instruction cache on, and the 32 MHz crystal, for good: without it UART's bit times and pulses drift by
- * up to 8 %. Returns when it runs, after about 0.4 ms, or after some milliseconds without it. */
+/* Switch the flash's instruction cache on, and the 32 MHz crystal, for good: without it UART's bit times and
+ * pulses drift by up to 8 %. Returns when it runs, after about 0.4 ms, or after some milliseconds without it. */
 void fk_clock_init(void);
 
 /* @retval 1 time comes from the crystal, 0 from the chip's own oscillator: no pulse may begin */

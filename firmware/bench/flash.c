@@ -26,7 +26,8 @@ static uint32_t address_of(const fk_flash_t *flash, uint32_t offset)
     return (uint32_t)(uintptr_t)flash->base + offset;
 }
 
-/* The core runs from flash: it stands still until NVMC is done, 89.7 ms for a page and 338 us for a word at most. */
+/* The processor runs from flash, so it stalls until NVMC is done: at most 89.7 ms for a page and 338 us for a
+ * word. */
 static void wait_until_ready(void)
 {
     while (NVMC_READY == NVMC_READY_READY_Busy) {

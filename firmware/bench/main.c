@@ -11,7 +11,7 @@
 #include "uart.h"
 #include "watchdog.h"
 
-/* While bytes arrive the core looks at them this often, about 11 bytes at a time, instead of waking for each. */
+/* While bytes arrive the loop reads them this often, about 11 at a time, instead of waking for each. */
 #define FK_BENCH_RECEIVE_POLL_US 1000u
 
 typedef char fk_late_is_late[(FK_PULSE_ERROR_LATE == FK_PULSE_LATE) ? 1 : -1];
@@ -26,7 +26,8 @@ static fk_log_t history __attribute__((section(".noinit")));
 
 typedef enum { NOTHING, BYTES, FRAME } taken_t;
 
-/* One frame at most: between two feeds of the watchdog lie one command and one tick, however many commands wait. */
+/* Takes one frame at most, so that between two feeds of the watchdog lie one command and one tick, however many
+ * commands wait. */
 static taken_t take_frame(void)
 {
     taken_t taken = NOTHING;
@@ -42,9 +43,9 @@ static taken_t take_frame(void)
     return taken;
 }
 
-/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not: that
- * stroke is refused. One that the gates refuse is an error: the core sees to it that they are free.
- * Returns 1 where the core needs a tick at once. */
+/* Do what a tick's outputs say. For the guard the pulse begins at tick_us. A pulse that would begin more than
+ * FK_PORT_LATE_US later does not begin, and the core refuses its stroke. Any other error is an internal error of
+ * the robot, since the core asks for no pulse while one is on. Returns 1 where the core needs a tick at once. */
 static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
 {
     if (outputs->all_off != 0u) {
@@ -60,8 +61,8 @@ static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
     return error != FK_PULSE_OK;
 }
 
-/* Before any command is taken, so before ARM. */
-static void mind_clock(void)
+/* Before any command is handled, so before ARM. */
+static void check_crystal(void)
 {
     if (fk_clock_is_exact() == 0) {
         fk_robot_note_clock_failed(&robot);
@@ -87,9 +88,10 @@ int main(void)
     fk_sleep_init();
     fk_supply_init();
     fk_battery_pins_init();
-    /* Before the table is checked, 0.4 ms for each KB of it: what is asked meanwhile waits in the receive buffers. */
+    /* Before the table is checked, which takes 0.4 ms for each KB: commands that arrive meanwhile wait in the
+     * receive buffers. */
     fk_uart_init();
-    /* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
+    /* With a table that is not for this robot it answers all the same, and reports its fault; it starts no pulse. */
     flash = fk_flash_region();
     if (fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes) == FK_OK) {
         (void)fk_robot_init(&robot, store.image, store.image_bytes);
@@ -110,7 +112,7 @@ int main(void)
         fk_sleep_clear_pending();
         fk_robot_note_supply(&robot, (supply_is_low != 0 || fk_battery_pins_are_low() != 0) ? 1 : 0);
 
-        mind_clock();
+        check_crystal();
         taken_t taken = take_frame();
         fk_outputs_t outputs;
         uint64_t begin_us = fk_time_now_us();
@@ -120,7 +122,7 @@ int main(void)
         fk_robot_note_tick(&robot, (uint32_t)(fk_time_now_us() - begin_us));
         send_answers();
 
-        /* Behind a frame another one may wait. */
+        /* After a frame another one may wait. */
         uint64_t wake_us = (at_once != 0 || taken == FRAME) ? begin_us : outputs.next_tick_us;
         if (wake_us > begin_us + FK_WATCHDOG_FEED_MAX_US) {
             wake_us = begin_us + FK_WATCHDOG_FEED_MAX_US;

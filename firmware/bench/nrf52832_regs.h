@@ -19,7 +19,8 @@
 #define CLOCK_HFCLKSTAT_SRC_Msk (1u << 0)
 #define CLOCK_HFCLKSTAT_STATE_Msk (1u << 16)
 
-/* Words without a name, to be copied after every reset: errata 31 (the RC oscillator's calibration) and 108 (RAM's). */
+/* Words without a name, to be copied after every reset: errata 31 (the RC oscillator's calibration) and 108
+ * (RAM's). */
 #define FICR_BASE 0x10000000u
 #define FICR_ERRATUM_31 FK_REGISTER(FICR_BASE + 0x244u)
 #define CLOCK_ERRATUM_31 FK_REGISTER(CLOCK_BASE + 0x53Cu)

@@ -8,4 +8,7 @@
 #define FK_PPI_PULSE_START 17u      /* TIMER0 COMPARE[2] -> TIMER2 START, and the group's DIS: once */
 #define FK_PPI_GROUP_PULSE_START 0u /* that channel alone */
 
+/* The channels by which a pulse begins, of all eight limbs. */
+#define FK_PPI_PULSE_BEGIN_MASK ((1u << FK_PPI_PULSE_START) | (0xFFu << FK_PPI_PULSE_BEGIN_FIRST))
+
 #endif

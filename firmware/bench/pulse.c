@@ -11,11 +11,12 @@
 #define CC_END 0u
 #define CC_BEGIN 1u
 
-/* The timer's first tick: where it starts the gates go high, and its value at the end is so much more. */
+/* The gates go high at the timer's first tick, so the compare value of the end is one more than the length. */
 #define BEGIN_TICK 1u
-/* From reading the clock until the compare value stands and its channel is on; tries that take longer are repeated. */
+/* Time allowed from reading the clock until the compare value is set and its channel enabled; a try that takes
+ * longer is repeated. */
 #define ARM_US 5u
-/* After this much more what had to begin has begun. */
+/* After this much more time a pulse that begins has begun. */
 #define SETTLED_US 3u
 
 #define START_MASK (1u << FK_PPI_PULSE_START)
@@ -58,9 +59,9 @@ void fk_pulse_init(void)
     pulse_is_on = 0u;
 }
 
-/* What a pulse leaves behind that costs current: a timer that was only stopped (erratum 78), and the mode that GPIOTE's CLR
- * tasks switch to besides (erratum 156). */
-static void settle(void)
+/* A pulse leaves behind what costs current: a timer that was only stopped (erratum 78), and the constant-latency
+ * mode that GPIOTE's CLR tasks cause (erratum 156). */
+static void save_current(void)
 {
     TIMER_TASKS_SHUTDOWN(PULSE_TIMER) = 1u;
     POWER_TASKS_LOWPWR = 1u;
@@ -71,18 +72,18 @@ int32_t fk_pulse_is_on(void)
     if (pulse_is_on != 0u && TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END) != 0u) {
         TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END) = 0u;
         (void)TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END); /* the write has arrived before the caller goes on */
-        settle();
+        save_current();
         pulse_is_on = 0u;
     }
     return pulse_is_on;
 }
 
-/* Let the pulse that is set up begin at begin_us by TIMER0. Returns 1 where it has, 0 where that time was over before the
- * channel was on: then nothing has begun. */
+/* Let the prepared pulse begin when TIMER0 reaches begin_us. Returns 1 where it has begun, 0 where that time was
+ * over before the channel was enabled, so that nothing has begun. */
 static int32_t begin_at(uint64_t begin_us)
 {
     TIMER_CC(FK_TIME_TIMER, FK_TIME_CC_PULSE) = (uint32_t)begin_us;
-    PPI_CHENSET = START_MASK; /* from here on it is the timers' matter */
+    PPI_CHENSET = START_MASK; /* from here on the timers alone begin and end it */
     while (fk_time_now_us() < begin_us + SETTLED_US) {
     }
     if (TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_BEGIN) != 0u) {
@@ -125,13 +126,14 @@ int32_t fk_pulse_start(uint8_t limb_mask, uint32_t pulse_us, uint64_t latest_us)
 
 void fk_pulse_off(void)
 {
-    /* Nothing begins any more, then gates low, then no end is needed. */
-    PPI_CHENCLR = START_MASK | (LIMBS_MASK << FK_PPI_PULSE_BEGIN_FIRST);
+    /* In this order: no pulse can begin any more, all gates go low, and only then does the timer stop that would
+     * end a pulse. */
+    PPI_CHENCLR = FK_PPI_PULSE_BEGIN_MASK;
     for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {
         GPIOTE_TASKS_CLR(limb) = 1u;
     }
     TIMER_TASKS_STOP(PULSE_TIMER) = 1u;
-    settle();
+    save_current();
     TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END) = 0u;
     (void)TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END);
     pulse_is_on = 0u;

@@ -1,14 +1,15 @@
-/* Vectors and the way from reset to main. */
+/* The vector table, the reset handler and the fault handler. */
 #include <stddef.h>
 #include <stdint.h>
 
 #include "board.h"
 #include "nrf52832_regs.h"
+#include "ppi_channels.h"
 
 #define STACK_PAINT 0xA5A5A5A5u
 #define VECTORS 16u /* the core's own; no interrupt of a peripheral is ever taken */
 
-/* From nrf52832.ld; only their addresses mean something. */
+/* From nrf52832.ld; only the addresses have a meaning. */
 extern uint32_t fk_stack_bottom[];
 extern uint32_t fk_stack_top[];
 extern uint32_t fk_data_begin[];
@@ -46,8 +47,8 @@ void *memset(void *to, int value, size_t count)
     return to;
 }
 
-/* The same under the names of the ARM run-time ABI (RTABI, 4.3.4), which clang calls; the suffix is an alignment that
- * these do not need. */
+/* The same under the names of the ARM run-time ABI (RTABI, 4.3.4), which clang calls. The suffix names an
+ * alignment, which these functions do not need. */
 void __aeabi_memcpy(void *to, const void *from, size_t count);
 void __aeabi_memset(void *to, size_t count, int value);
 void __aeabi_memclr(void *to, size_t count);
@@ -64,9 +65,11 @@ void __aeabi_memset(void *to, size_t count, int value) { (void)memset(to, value,
 
 void __aeabi_memclr(void *to, size_t count) { (void)memset(to, 0, count); }
 
-/* A fault of the core: all gates low, then nothing more until reset. Touches no stack, which may be what failed. */
+/* A fault of the processor: no pulse can begin any more, all gates go low, and nothing else happens until the
+ * watchdog's reset. It uses no stack, which may be what failed. */
 void fk_fault(void)
 {
+    PPI_CHENCLR = FK_PPI_PULSE_BEGIN_MASK;
     for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {
         GPIOTE_TASKS_CLR(limb) = 1u;
     }
@@ -79,7 +82,7 @@ void fk_reset(void)
 {
     uint32_t *stack_pointer;
     __asm__ volatile("mov %0, sp" : "=r"(stack_pointer));
-    /* Painted up to here; what is no longer paint later was used. */
+    /* Fill the unused stack with a pattern: what differs later was used. */
     for (volatile uint32_t *word = fk_stack_bottom; word < stack_pointer; ++word) {
         *word = STACK_PAINT;
     }

@@ -4,8 +4,8 @@
 #include "nrf52832_regs.h"
 #include "time.h"
 
-/* The comparator tells of a supply that falls, not of one that is well again: it is switched off and on, and where it has
- * told nothing for so long, it is. */
+/* The power-fail comparator reports a supply that falls, not one that has recovered. So it is switched off and on
+ * again, and where it reports nothing for this long, the supply is sufficient. */
 #define SETTLED_US 1000u
 
 #define SWITCHED_OFF (FK_BOARD_SUPPLY_LEAST << POWER_POFCON_THRESHOLD_Pos)

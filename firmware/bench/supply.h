@@ -6,8 +6,8 @@
 
 void fk_supply_init(void);
 
-/* Whether the chip's supply is, or was since the last call, below FK_BOARD_SUPPLY_LEAST; for every turn of the loop, which
- * wakes where it falls. */
+/* Whether the chip's supply is, or was since the last call, below FK_BOARD_SUPPLY_LEAST; for every turn of the
+ * loop, which wakes where it falls. */
 int32_t fk_supply_is_low(void);
 
 #endif

@@ -41,7 +41,7 @@ int32_t fk_time_wake_at(uint64_t wake_us)
         wake_us = latest_us;
     }
     TIMER_CC(FK_TIME_TIMER, CC_WAKE) = (uint32_t)wake_us;
-    /* Read the clock again after the compare value stands: a time that is still ahead now can not be missed. */
+    /* Read the clock again now that the compare value is set: a time that is still ahead cannot be missed. */
     return (fk_time_now_us() < wake_us) ? 1 : 0;
 }
 

@@ -3,15 +3,15 @@
 #include "fk_frames_layout.h"
 #include "nrf52832_regs.h"
 
-/* The RC oscillator that the watchdog starts may be 2 % slow: 980 ms by a right clock are 1 s by that. */
+/* The watchdog's RC oscillator may be 2 % slow, so that 980 ms of its time take up to 1 s. */
 #define WATCHDOG_TICKS_PER_S 32768u
 #define WATCHDOG_TICKS (WATCHDOG_TICKS_PER_S / 100u * 98u)
 
 uint8_t fk_watchdog_reset_reason(void)
 {
     uint32_t reasons = POWER_RESETREAS;
-    POWER_RESETREAS = reasons; /* they add up until a one is written */
-    /* First of all: with a pin reset others may stand there wrongly (erratum 136). */
+    POWER_RESETREAS = reasons; /* reasons accumulate until ones are written */
+    /* Tested first: with a pin reset other reasons may be set wrongly (erratum 136). */
     if ((reasons & POWER_RESETREAS_RESETPIN_Msk) != 0u) {
         return FK_RESET_PIN;
     }

@@ -18,7 +18,7 @@ void fk_auth_init(fk_auth_t *auth)
 {
     auth->challenges = 0u;
     auth->newest = 0u;
-    auth->had = 0u;
+    auth->used = 0u;
     auth->is_seeded = 0u;
     auth->has_pending = 0u;
     auth->has_current = 0u;
@@ -68,7 +68,7 @@ int32_t fk_auth_answer(fk_auth_t *auth, const uint32_t key[FK_AUTH_KEY_WORDS],
     return 0;
 }
 
-/* Takes as long wherever the codes differ. */
+/* Compares in constant time, wherever the codes differ. */
 static int32_t is_code_of(const uint8_t *key, const fk_frame_t *frame)
 {
     const uint32_t length = frame->payload_length - FK_AUTH_CODE_BYTES;
@@ -86,20 +86,20 @@ static int32_t is_code_of(const uint8_t *key, const fk_frame_t *frame)
     return differing == 0u;
 }
 
-/* Whether a counter is new; it is had from now on. Counters begin at 1. */
+/* Whether a counter is new, and note that it is used from now on. Counters begin at 1. */
 static int32_t take_counter(fk_auth_t *auth, uint32_t counter)
 {
     if (counter > auth->newest) {
         const uint32_t ahead = counter - auth->newest;
-        auth->had = ((ahead < FK_AUTH_WINDOW) ? auth->had << ahead : 0u) | 1u;
+        auth->used = ((ahead < FK_AUTH_WINDOW) ? auth->used << ahead : 0u) | 1u;
         auth->newest = counter;
         return 1;
     }
     const uint32_t behind = auth->newest - counter;
-    if (counter == 0u || behind >= FK_AUTH_WINDOW || (auth->had >> behind & 1u) != 0u) {
+    if (counter == 0u || behind >= FK_AUTH_WINDOW || (auth->used >> behind & 1u) != 0u) {
         return 0;
     }
-    auth->had |= 1u << behind;
+    auth->used |= 1u << behind;
     return 1;
 }
 
@@ -117,7 +117,7 @@ int8_t fk_auth_check(fk_auth_t *auth, fk_frame_t *frame)
         auth->has_current = 1u;
         auth->has_pending = 0u;
         auth->newest = 0u;
-        auth->had = 0u;
+        auth->used = 0u;
     }
     if (!take_counter(auth, fk_get_u32(frame->payload + length))) {
         return FK_STATUS_MAC;

@@ -11,7 +11,7 @@ void fk_battery_init(fk_battery_t *battery)
 
 static void count(fk_battery_t *battery, int32_t lowest_mv, int32_t least_mv)
 {
-    int32_t limit_mv = (battery->is_low != 0u) ? least_mv + least_mv / (int32_t)FK_BATTERY_WELL_SHARE : least_mv;
+    int32_t limit_mv = (battery->is_low != 0u) ? least_mv + least_mv / (int32_t)FK_BATTERY_HYSTERESIS_SHARE : least_mv;
     uint8_t reads_low = (lowest_mv < limit_mv) ? 1u : 0u;
     battery->agree = (reads_low == battery->is_low) ? 0u : (uint8_t)(battery->agree + 1u);
     if (battery->agree >= FK_BATTERY_AGREE) {

@@ -1,4 +1,5 @@
-/* The commands of the link, one function each; fk_robot_command finds it. Each writes its answer's payload. */
+/* The commands of the link, one function for each, which writes its answer's payload. fk_robot_command() calls the
+ * right one. */
 #include "fk_robot_state.h"
 
 /* most < 2^24, so that both limits and every number between them are exact as float. */
@@ -9,8 +10,8 @@ static int32_t is_whole_within(float value, uint32_t least, uint32_t most)
 
 static int32_t answer_state(const fk_robot_t *robot, int8_t status, uint8_t *answer)
 {
-    fk_arm_answer_t told = {status, robot->state}; /* ARM, DISARM and STOP share this answer */
-    fk_arm_answer_pack(answer, &told);
+    fk_arm_answer_t reply = {status, robot->state}; /* ARM, DISARM and STOP share this answer */
+    fk_arm_answer_pack(answer, &reply);
     return (int32_t)FK_ARM_ANSWER_BYTES;
 }
 
@@ -20,32 +21,32 @@ static int32_t answer_status(int8_t status, uint8_t *answer)
     return 1;
 }
 
-/* Of any length: the first byte is the version in every protocol from 2 on, and 1 had none. */
+/* HELLO of any length: its first byte is the version in every protocol from 2 on; version 1 had none. */
 static int32_t on_hello(fk_robot_t *robot, const fk_frame_t *frame, uint8_t *answer)
 {
-    fk_hello_answer_t told;
-    told.status = FK_STATUS_VERSION;
+    fk_hello_answer_t reply;
+    reply.status = FK_STATUS_VERSION;
     if (frame->payload_length == FK_HELLO_COMMAND_BYTES && frame->payload[0] == FK_PROTOCOL_VERSION) {
         fk_hello_command_t command;
         fk_hello_command_unpack(frame->payload, &command);
-        told.status = FK_STATUS_OK;
+        reply.status = FK_STATUS_OK;
         if (command.conversation != robot->conversation) {
             robot->conversation = command.conversation;
             fk_duplicates_init(&robot->duplicates);
             fk_duplicates_note(&robot->duplicates, frame->sequence);
         }
     }
-    told.protocol_version = FK_PROTOCOL_VERSION;
+    reply.protocol_version = FK_PROTOCOL_VERSION;
     for (uint32_t i = 0u; i < 16u; ++i) {
-        told.robot_id[i] = robot->tables.robot_id[i];
+        reply.robot_id[i] = robot->tables.robot_id[i];
     }
-    told.table_crc = robot->tables.image_crc32;
-    told.states = robot->tables.states;
-    told.actions = robot->tables.actions;
-    told.limbs = robot->tables.limbs;
-    told.period_us = robot->period_us;
-    told.pulse_us = robot->tables.pulse_us;
-    fk_hello_answer_pack(answer, &told);
+    reply.table_crc = robot->tables.image_crc32;
+    reply.states = robot->tables.states;
+    reply.actions = robot->tables.actions;
+    reply.limbs = robot->tables.limbs;
+    reply.period_us = robot->period_us;
+    reply.pulse_us = robot->tables.pulse_us;
+    fk_hello_answer_pack(answer, &reply);
     return (int32_t)FK_HELLO_ANSWER_BYTES;
 }
 
@@ -67,26 +68,26 @@ static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us
 {
     fk_fix_command_t command;
     fk_fix_command_unpack(payload, &command);
-    fk_fix_answer_t told = {fk_robot_may(robot, FK_EVENT_FIX), command.fix_sequence, 0u};
-    if (told.status != FK_STATUS_OK) {
-        fk_fix_answer_pack(answer, &told);
+    fk_fix_answer_t reply = {fk_robot_may(robot, FK_EVENT_FIX), command.fix_sequence, 0u};
+    if (reply.status != FK_STATUS_OK) {
+        fk_fix_answer_pack(answer, &reply);
         return (int32_t)FK_FIX_ANSWER_BYTES;
     }
-    told.status = FK_STATUS_VALUE;
-    /* A picture from before the clock began has no time on it. */
+    reply.status = FK_STATUS_VALUE;
+    /* A picture from before the robot's clock began has no capture time. */
     if (command.quality != 0u && command.capture_age_us <= FK_CAPTURE_AGE_MAX_US && command.capture_age_us <= now_us) {
         uint64_t capture_us = now_us - command.capture_age_us;
         fk_fix_t fix = {capture_us, {command.x_m, command.y_m, command.heading_rad}, command.fix_sequence};
-        told.status = (int8_t)fk_estimator_add(&robot->estimator, &fix);
-        told.capture_us = capture_us;
+        reply.status = (int8_t)fk_estimator_add(&robot->estimator, &fix);
+        reply.capture_us = capture_us;
     }
-    if (told.status == FK_STATUS_OK) {
-        fk_robot_note_fix(robot, told.capture_us, command.x_m, command.y_m);
+    if (reply.status == FK_STATUS_OK) {
+        fk_robot_note_fix(robot, reply.capture_us, command.x_m, command.y_m);
         ++robot->fixes_used;
     } else {
         ++robot->fixes_refused;
     }
-    fk_fix_answer_pack(answer, &told);
+    fk_fix_answer_pack(answer, &reply);
     return (int32_t)FK_FIX_ANSWER_BYTES;
 }
 
@@ -94,57 +95,57 @@ static int32_t on_start(fk_robot_t *robot, const uint8_t *payload, uint64_t now_
 {
     fk_start_command_t command;
     fk_start_command_unpack(payload, &command);
-    fk_start_answer_t told = {fk_robot_may(robot, FK_EVENT_START), 0u};
-    if (told.status != FK_STATUS_OK) {
-        /* as it is */
+    fk_start_answer_t reply = {fk_robot_may(robot, FK_EVENT_START), 0u};
+    if (reply.status != FK_STATUS_OK) {
+        /* refused */
     } else if (command.delay_us > FK_START_DELAY_MAX_US) {
-        told.status = FK_STATUS_VALUE;
+        reply.status = FK_STATUS_VALUE;
     } else if (robot->path.count == 0u) {
-        told.status = FK_STATUS_NO_PATH;
+        reply.status = FK_STATUS_NO_PATH;
     } else if (now_us >= fk_guard_lost_us(&robot->guard)) {
-        told.status = FK_STATUS_STALE;
+        reply.status = FK_STATUS_STALE;
     } else {
         (void)fk_robot_supervise(robot, FK_EVENT_START);
         robot->decisions = 0u;
         fk_follow_begin(&robot->follow);
         robot->next_decision_us = now_us + command.delay_us;
-        told.first_decision_us = robot->next_decision_us;
+        reply.first_decision_us = robot->next_decision_us;
     }
-    fk_start_answer_pack(answer, &told);
+    fk_start_answer_pack(answer, &reply);
     return (int32_t)FK_START_ANSWER_BYTES;
 }
 
 static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answer)
 {
-    fk_status_answer_t told;
-    told.status = FK_STATUS_OK;
-    told.state = robot->state;
-    told.now_us = now_us;
-    told.decisions = robot->decisions;
-    told.fixes_used = robot->fixes_used;
-    told.fixes_refused = robot->fixes_refused;
-    told.frames_bad = robot->frames_bad;
-    told.pulses = robot->pulses;
-    told.pulses_refused = robot->pulses_refused;
-    told.answers_dropped = robot->answers_dropped;
-    told.restarts = robot->estimator.restarts;
-    told.repeats = robot->commands_repeated;
-    told.reset = robot->reset;
-    told.fault = robot->fault;
-    told.fault_detail = robot->fault_detail;
-    told.rest_us = fk_robot_rest_us(robot);
-    told.supply = robot->supply;
-    told.owner = fk_robot_is_owned(robot) ? (uint8_t)FK_OWNER_KEY : (uint8_t)FK_OWNER_OPEN;
-    told.learn = robot->estimator.track.wear.learn;
-    told.lost_0 = robot->estimator.track.wear.lost[0];
-    told.lost_1 = robot->estimator.track.wear.lost[1];
-    told.lost_2 = robot->estimator.track.wear.lost[2];
-    told.lost_3 = robot->estimator.track.wear.lost[3];
-    told.lost_4 = robot->estimator.track.wear.lost[4];
-    told.lost_5 = robot->estimator.track.wear.lost[5];
-    told.lost_6 = robot->estimator.track.wear.lost[6];
-    told.lost_7 = robot->estimator.track.wear.lost[7];
-    fk_status_answer_pack(answer, &told);
+    fk_status_answer_t reply;
+    reply.status = FK_STATUS_OK;
+    reply.state = robot->state;
+    reply.now_us = now_us;
+    reply.decisions = robot->decisions;
+    reply.fixes_used = robot->fixes_used;
+    reply.fixes_refused = robot->fixes_refused;
+    reply.frames_bad = robot->frames_bad;
+    reply.pulses = robot->pulses;
+    reply.pulses_refused = robot->pulses_refused;
+    reply.answers_dropped = robot->answers_dropped;
+    reply.restarts = robot->estimator.restarts;
+    reply.repeats = robot->commands_repeated;
+    reply.reset = robot->reset;
+    reply.fault = robot->fault;
+    reply.fault_detail = robot->fault_detail;
+    reply.rest_us = fk_robot_rest_us(robot);
+    reply.supply = robot->supply;
+    reply.owner = fk_robot_is_owned(robot) ? (uint8_t)FK_OWNER_KEY : (uint8_t)FK_OWNER_OPEN;
+    reply.learn = robot->estimator.track.wear.learn;
+    reply.lost_0 = robot->estimator.track.wear.lost[0];
+    reply.lost_1 = robot->estimator.track.wear.lost[1];
+    reply.lost_2 = robot->estimator.track.wear.lost[2];
+    reply.lost_3 = robot->estimator.track.wear.lost[3];
+    reply.lost_4 = robot->estimator.track.wear.lost[4];
+    reply.lost_5 = robot->estimator.track.wear.lost[5];
+    reply.lost_6 = robot->estimator.track.wear.lost[6];
+    reply.lost_7 = robot->estimator.track.wear.lost[7];
+    fk_status_answer_pack(answer, &reply);
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }
 
@@ -153,7 +154,8 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
 #define LEAST(name, NAME, least, most) least,
 #define MOST(name, NAME, least, most) most,
 
-/* A table instead of a choice: compilers make a jump of such a choice, whose targets no analysis can bound. */
+/* A table instead of a switch: compilers turn a switch into a computed jump, which the stack analysis cannot
+ * follow. */
 static int8_t set_weight(fk_plan_config_t *plan, uint8_t parameter, float value)
 {
     static const uint8_t ids[] = {FK_PLAN_WEIGHTS(ID)};
@@ -239,18 +241,18 @@ static int32_t on_stroke(fk_robot_t *robot, const uint8_t *payload, uint64_t now
 {
     fk_stroke_command_t command;
     fk_stroke_command_unpack(payload, &command);
-    fk_stroke_answer_t told = {fk_robot_may(robot, FK_EVENT_STROKE),
+    fk_stroke_answer_t reply = {fk_robot_may(robot, FK_EVENT_STROKE),
                                (robot->free_us > now_us) ? robot->free_us : now_us};
-    if (told.status != FK_STATUS_OK) {
-        /* as it is */
+    if (reply.status != FK_STATUS_OK) {
+        /* refused */
     } else if (robot->stroke_request != 0u || robot->second_mask != 0u) {
-        told.status = FK_STATUS_STATE; /* the last stroke has not fired all its limbs yet */
+        reply.status = FK_STATUS_STATE; /* the last stroke has not yet fired all of its limbs */
     } else if (command.action >= robot->tables.actions) {
-        told.status = FK_STATUS_VALUE;
+        reply.status = FK_STATUS_VALUE;
     } else {
-        fk_robot_ask_stroke(robot, command.action, told.stroke_us);
+        fk_robot_ask_stroke(robot, command.action, reply.stroke_us);
     }
-    fk_stroke_answer_pack(answer, &told);
+    fk_stroke_answer_pack(answer, &reply);
     return (int32_t)FK_STROKE_ANSWER_BYTES;
 }
 
@@ -258,13 +260,13 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
 {
     fk_plan_command_t command;
     fk_plan_command_unpack(payload, &command);
-    fk_plan_answer_t told = {FK_STATUS_OK, 0u,   0u,   0u,   0u,   0u,   0.0f, 0.0f, 0.0f, 0.0f, 0.0f,
+    fk_plan_answer_t reply = {FK_STATUS_OK, 0u,   0u,   0u,   0u,   0u,   0.0f, 0.0f, 0.0f, 0.0f, 0.0f,
                              0.0f,         0.0f, 0.0f, 0.0f, 0u,   0u,   0u,   0u,   0u,   0u,   0u,   0u};
-    told.status = fk_robot_may(robot, FK_EVENT_PLAN);
-    if (told.status != FK_STATUS_OK) {
-        /* as it is */
+    reply.status = fk_robot_may(robot, FK_EVENT_PLAN);
+    if (reply.status != FK_STATUS_OK) {
+        /* refused */
     } else if (robot->path.count == 0u) {
-        told.status = FK_STATUS_NO_PATH;
+        reply.status = FK_STATUS_NO_PATH;
     } else {
         fk_plan_config_t config = robot->plan;
         fk_state_t state = {command.x_m,    command.y_m,    command.heading_rad,
@@ -274,33 +276,33 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
                             command.along_points};
         fk_plan_t plan;
         config.depth = command.depth;
-        told.status = (int8_t)fk_plan(&robot->tables, &robot->path, &config, &state, &plan);
-        if (told.status == FK_STATUS_OK) {
-            told.action = plan.action;
-            told.nearest_state = plan.nearest_state;
-            told.path_index = plan.path_index;
-            told.depth_reached = plan.depth_reached;
-            told.transitions = plan.transitions;
-            told.cost = plan.cost;
-            told.distance_m = plan.distance_m;
-            told.along_points = plan.along_points;
-            told.x_m = plan.predicted.x_m;
-            told.y_m = plan.predicted.y_m;
-            told.heading_rad = plan.predicted.heading_rad;
-            told.vx_mps = plan.predicted.vx_mps;
-            told.vy_mps = plan.predicted.vy_mps;
-            told.omega_rad_s = plan.predicted.omega_rad_s;
-            told.limb_use_0 = plan.predicted.limb_use[0];
-            told.limb_use_1 = plan.predicted.limb_use[1];
-            told.limb_use_2 = plan.predicted.limb_use[2];
-            told.limb_use_3 = plan.predicted.limb_use[3];
-            told.limb_use_4 = plan.predicted.limb_use[4];
-            told.limb_use_5 = plan.predicted.limb_use[5];
-            told.limb_use_6 = plan.predicted.limb_use[6];
-            told.limb_use_7 = plan.predicted.limb_use[7];
+        reply.status = (int8_t)fk_plan(&robot->tables, &robot->path, &config, &state, &plan);
+        if (reply.status == FK_STATUS_OK) {
+            reply.action = plan.action;
+            reply.nearest_state = plan.nearest_state;
+            reply.path_index = plan.path_index;
+            reply.depth_reached = plan.depth_reached;
+            reply.transitions = plan.transitions;
+            reply.cost = plan.cost;
+            reply.distance_m = plan.distance_m;
+            reply.along_points = plan.along_points;
+            reply.x_m = plan.predicted.x_m;
+            reply.y_m = plan.predicted.y_m;
+            reply.heading_rad = plan.predicted.heading_rad;
+            reply.vx_mps = plan.predicted.vx_mps;
+            reply.vy_mps = plan.predicted.vy_mps;
+            reply.omega_rad_s = plan.predicted.omega_rad_s;
+            reply.limb_use_0 = plan.predicted.limb_use[0];
+            reply.limb_use_1 = plan.predicted.limb_use[1];
+            reply.limb_use_2 = plan.predicted.limb_use[2];
+            reply.limb_use_3 = plan.predicted.limb_use[3];
+            reply.limb_use_4 = plan.predicted.limb_use[4];
+            reply.limb_use_5 = plan.predicted.limb_use[5];
+            reply.limb_use_6 = plan.predicted.limb_use[6];
+            reply.limb_use_7 = plan.predicted.limb_use[7];
         }
     }
-    fk_plan_answer_pack(answer, &told);
+    fk_plan_answer_pack(answer, &reply);
     return (int32_t)FK_PLAN_ANSWER_BYTES;
 }
 

@@ -1,9 +1,10 @@
-/* Which commands were had before: a radio delivers frames twice, and a host that missed an answer asks again. Such a
- * command acts once, and is answered as it was. DISARM and STOP are none of these: they act whenever they come.
+/* Duplicate filter for commands: a radio may deliver a frame twice, and a host that missed an answer sends the
+ * command again. A repeated command does not act again, and gets the answer that the first one got. DISARM and STOP
+ * are not filtered.
  *
- * A frame is a repetition where its sequence number and its CRC-32 (over type, sequence and payload) are those of one
- * that is kept. Kept are the last FK_DUPLICATES_KEPT commands that matter, each for the next FK_DUPLICATES_SPAN sequence
- * numbers: after these the host may use the number again.
+ * A frame repeats a command if its sequence number and its CRC-32 (over type, sequence and payload) are those of one
+ * that is kept. The last FK_DUPLICATES_KEPT commands that change something are kept, each for the next
+ * FK_DUPLICATES_SPAN sequence numbers; after these the host may use the number again.
  */
 #ifndef FK_DUPLICATES_H
 #define FK_DUPLICATES_H
@@ -25,24 +26,24 @@ typedef char fk_table_answer_is_kept[(FK_TABLE_BEGIN_ANSWER_BYTES <= FK_DUPLICAT
 typedef struct {
     uint32_t crc;
     uint8_t sequence;
-    uint8_t age;    /* sequence numbers that have come since; above FK_DUPLICATES_SPAN: not kept */
+    uint8_t age;    /* by how many sequence numbers later frames are ahead; above FK_DUPLICATES_SPAN: not kept */
     uint8_t length; /* of the answer's payload */
     uint8_t answer[FK_DUPLICATES_ANSWER_BYTES];
 } fk_duplicate_t;
 
 typedef struct {
     fk_duplicate_t kept[FK_DUPLICATES_KEPT];
-    uint32_t next; /* place of the next one, also the oldest */
-    uint8_t newest; /* sequence number furthest on */
+    uint32_t next; /* entry of the next one, which is also the oldest */
+    uint8_t newest; /* most advanced sequence number */
 } fk_duplicates_t;
 
-/* Nothing is a repetition: a conversation begins. */
+/* Forget all commands: a conversation begins. */
 void fk_duplicates_init(fk_duplicates_t *duplicates);
 
-/* A frame has come, of any type: the numbers of those before it are that much older. */
+/* A frame of any type has arrived: the kept commands age by as many numbers as it is ahead of the newest. */
 void fk_duplicates_note(fk_duplicates_t *duplicates, uint8_t sequence);
 
-/* The kept command that this frame duplicates, or 0. */
+/* The kept command that this frame repeats, or 0. */
 const fk_duplicate_t *fk_duplicates_find(const fk_duplicates_t *duplicates, const fk_frame_t *frame);
 
 /* Keep a command and its answer, 1 to FK_DUPLICATES_ANSWER_BYTES bytes. */

@@ -28,8 +28,8 @@ void fk_estimator_restart(fk_estimator_t *estimator)
 /* Comparisons with NaN are false, so this refuses it too. */
 static int32_t within(float value, float limit) { return value >= -limit && value <= limit; }
 
-/* A fix's mark, never 0: FNV-1a over its sequence and the bits of its pose. Its capture time does not count: the age
- * of a frame that a link delivers twice is wrong the second time. */
+/* The hash of a fix in the duplicate filter, never 0: FNV-1a over its sequence number and the bits of its pose.
+ * The capture time does not count, since the age in a frame that a link delivers twice is wrong the second time. */
 static uint32_t mark_of(const fk_fix_t *fix)
 {
     uint32_t mark = (2166136261u ^ fix->sequence) * 16777619u;
@@ -46,7 +46,7 @@ static int32_t agree(const fk_fix_t *a, const fk_fix_t *b)
 {
     const uint64_t apart_us =
         (a->capture_us > b->capture_us) ? a->capture_us - b->capture_us : b->capture_us - a->capture_us;
-    const float apart_s = (float)(uint32_t)apart_us * 1e-6f; /* no fix is compared with one of minutes ago: coast() */
+    const float apart_s = (float)(uint32_t)apart_us * 1e-6f; /* fits: coast() lets none be compared with one of minutes ago */
     const float dx = a->pose[0] - b->pose[0];
     const float dy = a->pose[1] - b->pose[1];
     const float reach_m = FK_OUTLIERS_AGREE_M + FK_OUTLIERS_AGREE_MPS * apart_s;
@@ -54,7 +54,7 @@ static int32_t agree(const fk_fix_t *a, const fk_fix_t *b)
            within(fk_wrap_angle(a->pose[2] - b->pose[2]), FK_OUTLIERS_AGREE_RAD + FK_OUTLIERS_AGREE_RAD_S * apart_s);
 }
 
-static void took(fk_estimator_t *estimator, const fk_fix_t *fix)
+static void accept(fk_estimator_t *estimator, const fk_fix_t *fix)
 {
     if (estimator->fixes == 0u || fix->capture_us > estimator->newest_us) {
         estimator->newest_us = fix->capture_us;
@@ -65,8 +65,8 @@ static void took(fk_estimator_t *estimator, const fk_fix_t *fix)
     }
 }
 
-/* Start again from the fixes that agree; those from before the oldest instant have no say. */
-static void start_again(fk_estimator_t *estimator)
+/* Reset the pose to the outliers, the earliest first, without those from before the oldest instant. */
+static void reset_to_outliers(fk_estimator_t *estimator)
 {
     fk_track_t *track = &estimator->track;
     uint32_t first = FK_OUTLIERS_MAX;
@@ -78,18 +78,18 @@ static void start_again(fk_estimator_t *estimator)
     }
     fk_track_reset_pose(track, estimator->outliers[first].capture_us, estimator->outliers[first].pose);
     estimator->fixes = 0u;
-    took(estimator, &estimator->outliers[first]);
+    accept(estimator, &estimator->outliers[first]);
     for (uint32_t i = 0u; i < estimator->outlier_count; ++i) {
         if (i != first && estimator->outliers[i].capture_us >= track->time_us[0]) {
             (void)fk_track_update(track, estimator->outliers[i].capture_us, estimator->outliers[i].pose, 0);
-            took(estimator, &estimator->outliers[i]);
+            accept(estimator, &estimator->outliers[i]);
         }
     }
     estimator->outlier_count = 0u;
 }
 
-/* A fix that was refused for where it is: 1 where the track started again from it and those before. */
-static int32_t strayed(fk_estimator_t *estimator, const fk_fix_t *fix)
+/* Buffer a fix outside the gate. Returns 1 where it and those before reset the pose, else 0. */
+static int32_t note_outlier(fk_estimator_t *estimator, const fk_fix_t *fix)
 {
     if (estimator->outlier_count > 0u && !agree(fix, &estimator->outliers[estimator->outlier_count - 1u])) {
         estimator->outlier_count = 0u;
@@ -101,12 +101,13 @@ static int32_t strayed(fk_estimator_t *estimator, const fk_fix_t *fix)
     }
     fk_covariance_inflate(&estimator->track.covariance[0]);
     fk_covariance_inflate(&estimator->track.covariance[1]);
-    start_again(estimator);
+    reset_to_outliers(estimator);
     ++estimator->restarts;
     return 1;
 }
 
-/* Bring the track to a time; what it forgets, or nobody saw for long, is unknown. */
+/* Bring the track to a time. The state is unknown after too many periods without an action, or too long without a
+ * fix. */
 static void coast(fk_estimator_t *estimator, uint64_t at_us)
 {
     fk_track_coast(&estimator->track, at_us);
@@ -115,8 +116,8 @@ static void coast(fk_estimator_t *estimator, uint64_t at_us)
     }
 }
 
-/* Predict what the last action does. Not when it is told: then a stroke waits to begin. */
-static void settle(fk_estimator_t *estimator)
+/* Predict the last action, if that was not done yet. Not in fk_estimator_act(), where a stroke waits to begin. */
+static void predict_action(fk_estimator_t *estimator)
 {
     if (estimator->action_waits != 0u) {
         estimator->action_waits = 0u;
@@ -138,7 +139,7 @@ int32_t fk_estimator_add(fk_estimator_t *estimator, const fk_fix_t *given)
             return FK_STATUS_DOUBLE;
         }
     }
-    settle(estimator);
+    predict_action(estimator);
     coast(estimator, fix.capture_us);
     if (estimator->track.count == 0u) {
         fk_track_begin(&estimator->track, fix.capture_us);
@@ -152,11 +153,11 @@ int32_t fk_estimator_add(fk_estimator_t *estimator, const fk_fix_t *given)
     if (estimator->fixes == 0u) {
         estimator->outliers[0] = fix;
         estimator->outlier_count = 1u;
-        start_again(estimator);
+        reset_to_outliers(estimator);
     } else if (fk_track_update(&estimator->track, fix.capture_us, fix.pose, 1) != 0) {
-        took(estimator, &fix);
+        accept(estimator, &fix);
         estimator->outlier_count = 0u;
-    } else if (!strayed(estimator, &fix)) {
+    } else if (!note_outlier(estimator, &fix)) {
         return FK_STATUS_OUTLIER;
     }
     return FK_STATUS_OK;
@@ -164,7 +165,7 @@ int32_t fk_estimator_add(fk_estimator_t *estimator, const fk_fix_t *given)
 
 int32_t fk_estimator_at(fk_estimator_t *estimator, uint64_t at_us, fk_estimate_t *estimate)
 {
-    settle(estimator);
+    predict_action(estimator);
     const int64_t lead_us = (int64_t)(at_us - estimator->newest_us);
     if (estimator->fixes == 0u || lead_us > FK_FIX_STALE_US || lead_us < -FK_FIX_FUTURE_US) {
         return FK_STATUS_STALE;
@@ -194,7 +195,7 @@ int32_t fk_estimator_at(fk_estimator_t *estimator, uint64_t at_us, fk_estimate_t
 
 void fk_estimator_act(fk_estimator_t *estimator, uint64_t at_us, uint8_t action)
 {
-    settle(estimator);
+    predict_action(estimator);
     estimator->action_us = at_us;
     estimator->action = action;
     estimator->action_waits = 1u;
@@ -202,7 +203,7 @@ void fk_estimator_act(fk_estimator_t *estimator, uint64_t at_us, uint8_t action)
 
 void fk_estimator_learn(fk_estimator_t *estimator, uint8_t learn)
 {
-    settle(estimator); /* the period that ends with that action is learned from as it was until now */
+    predict_action(estimator); /* the period that ends with that action is still learned from in the old mode */
     fk_track_learn(&estimator->track, learn);
 }
 

@@ -1,4 +1,4 @@
-/* Frames into the transmit buffer, and the events that wait to be told. */
+/* Frames into the transmit buffer, and the events that wait to be sent. */
 #include "fk_robot_state.h"
 
 void fk_robot_send(fk_robot_t *robot, uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t length)

@@ -1,4 +1,4 @@
-/* Whether a table may drive this robot. */
+/* Whether a table is for this robot and within the guard's limits. */
 #ifndef FK_FIT_H
 #define FK_FIT_H
 

@@ -16,7 +16,7 @@ void fk_follow_begin(fk_follow_t *follow)
     follow->begun = 0u;
 }
 
-/* The place of a segment that is nearest to a position: how far along it, 0 to 1, and its distance squared. */
+/* Project a position onto a segment: how far along it, 0 to 1, and the squared distance. */
 static float nearest_part(const fk_path_t *path, uint32_t segment, float x_m, float y_m, float *distance2_m2)
 {
     const float dx_m = path->x_m[segment + 1u] - path->x_m[segment];
@@ -64,7 +64,7 @@ static int32_t end_status(const fk_tables_t *tables, float distance_m)
     return (distance_m <= tables->stroke_max_m) ? FK_STATUS_OK : FK_STATUS_PASSED;
 }
 
-/* Whether the robot has got on since the mark; then here is the new one. */
+/* Set the mark anew if the robot has made progress since the last one, else count an idle decision. */
 static void mark_progress(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path, float distance_m)
 {
     uint32_t last = path->count - 2u;

@@ -13,26 +13,26 @@
 #define FK_IDLE_LACKING_MAX 20u      /* the same of a robot that lacks a limb */
 
 typedef struct {
-    float along_points;    /* where along the path the robot was at the last decision; 0 at the start */
-    float mark_points;     /* the same when progress or approach last counted */
-    float mark_x_m;        /* that place of the path, world */
+    float along_points;    /* position along the path at the last decision, in points; 0 at the start */
+    float mark_points;     /* the same at the last decision that made progress */
+    float mark_x_m;        /* that point of the path, world */
     float mark_y_m;
     float mark_distance_m; /* the robot's distance from it */
-    uint32_t idle;         /* decisions since */
-    uint8_t begun;         /* a decision was made */
+    uint32_t idle;         /* decisions since then */
+    uint8_t begun;         /* 1: a decision was made */
 } fk_follow_t;
 
 void fk_follow_begin(fk_follow_t *follow);
 
-/* Another path is followed from here on. The robot goes on where it is nearest to it; where several of its stretches are as
- * near, at the first of these: a path that closes or crosses itself is not cut short. As near: the squares of the distances
- * differ by that of a longest stroke at most.
- * @param x_m, y_m  the robot's place, world
+/* Follow another path from now on, from its point nearest to the robot. Where several stretches of the path are
+ * equally near, the first of them counts, so that a path that closes or crosses itself is not cut short. Equally
+ * near: the squares of the distances differ by at most that of the longest stroke.
+ * @param x_m, y_m  the robot's position, world
  */
 void fk_follow_change(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path, float x_m, float y_m);
 
 /* After a decision with a plan.
- * @param lacks_a_limb  not 0: one of the robot's limbs is believed to be lost, see fk_wear_lacks_a_limb()
+ * @param lacks_a_limb  fk_wear_lacks_a_limb(): not 0 where a limb is estimated to be lost
  * @retval FK_FOLLOW_ON       goes on
  * @retval FK_STATUS_OK       the path's end is reached
  * @retval FK_STATUS_PASSED   the end is passed, more than one longest stroke beside it (cost route)

@@ -444,7 +444,7 @@ typedef struct {
     uint8_t reset; /* why the robot started last, see reset */
     uint8_t fault; /* the first internal error since then, see fault */
     int8_t fault_detail; /* see fault */
-    uint32_t rest_us; /* no stroke before: it started without knowing how hot its limbs are; 0 = none is refused for that (us) */
+    uint32_t rest_us; /* how long strokes are still refused because the limbs' heat was unknown at the start; 0 = they are not (us) */
     uint8_t supply; /* see supply */
     uint8_t owner; /* see owner */
     uint8_t learn; /* see learn */
@@ -1064,7 +1064,7 @@ typedef struct {
     uint8_t continued; /* 1 = what stands before it is from before the reset */
     uint8_t reset; /* see reset */
     uint32_t table_crc; /* CRC-32 of the table in use */
-    uint32_t rest_us; /* no stroke before: nobody knows how hot its limbs are; 0 = its books outlived the reset (us) */
+    uint32_t rest_us; /* how long strokes are refused because the limbs' heat is unknown; 0 = the guard's history survived the reset (us) */
 } fk_boot_record_t;
 
 static inline void fk_boot_record_pack(uint8_t *to, const fk_boot_record_t *from)
@@ -1106,7 +1106,7 @@ static inline void fk_stroke_record_pack(uint8_t *to, const fk_stroke_record_t *
 /* Limbs were to be switched on now. */
 typedef struct {
     uint8_t limb_mask; /* bit i = limb i */
-    uint8_t allowed; /* 1 = the port was told to, 0 = the guard refused it, 2 = the port was too late and did not */
+    uint8_t allowed; /* 1 = the port was asked to, 0 = the guard refused it, 2 = the port was too late and did not begin it */
     uint32_t pulse_us; /* length (us) */
 } fk_pulse_record_t;
 

@@ -2,9 +2,10 @@
 
 #include "fk_frames_layout.h"
 
-#define KEPT_MARK 0x64726147u /* so that RAM of zeros keeps nothing */
+#define CHECK_START 0x64726147u /* not 0, so that memory full of zeros has a wrong checksum */
 
-/* One step is undone by no other word: a change of one word changes the check. */
+/* One step of the checksum. It is a bijection of each argument while the other is fixed, so a change of one word
+ * always changes the result. */
 static uint32_t mixed(uint32_t check, uint32_t word) { return (((check << 19) | (check >> 13)) ^ word) * 0x9E3779B1u; }
 
 static uint32_t mixed_time(uint32_t check, uint64_t time_us)
@@ -12,20 +13,20 @@ static uint32_t mixed_time(uint32_t check, uint64_t time_us)
     return mixed(mixed(check, (uint32_t)time_us), (uint32_t)(time_us >> 32));
 }
 
-/* Begins with the place, so that no limb's books pass for another's; 0 throughout is not sound. */
+/* It begins with the limb's number, so that the history of one limb does not pass for that of another. */
 static uint32_t check_of_limb(const fk_guard_t *guard, uint32_t at)
 {
     const fk_guard_limb_t *limb = &guard->limbs[at];
-    uint32_t check = KEPT_MARK + at;
+    uint32_t check = CHECK_START + at;
     for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
         check = mixed(mixed_time(check, limb->start_us[i]), limb->on_us[i]);
     }
     return mixed(mixed_time(check, limb->off_us), ((uint32_t)limb->was_cut << 16) | limb->next);
 }
 
-static uint32_t check_of_head(const fk_guard_t *guard)
+static uint32_t check_of_loop(const fk_guard_t *guard)
 {
-    return mixed(mixed_time(KEPT_MARK, guard->fix_us), guard->closed_loop);
+    return mixed(mixed_time(CHECK_START, guard->fix_us), guard->closed_loop);
 }
 
 static int32_t limb_is_sound(const fk_guard_t *guard, uint32_t limb)
@@ -33,11 +34,11 @@ static int32_t limb_is_sound(const fk_guard_t *guard, uint32_t limb)
     return guard->limbs[limb].check == check_of_limb(guard, limb);
 }
 
-static int32_t head_is_sound(const fk_guard_t *guard) { return guard->check == check_of_head(guard); }
+static int32_t loop_is_sound(const fk_guard_t *guard) { return guard->check == check_of_loop(guard); }
 
 static void seal_limb(fk_guard_t *guard, uint32_t limb) { guard->limbs[limb].check = check_of_limb(guard, limb); }
 
-static void seal_head(fk_guard_t *guard) { guard->check = check_of_head(guard); }
+static void seal_loop(fk_guard_t *guard) { guard->check = check_of_loop(guard); }
 
 int32_t fk_guard_is_sound(const fk_guard_t *guard)
 {
@@ -46,7 +47,7 @@ int32_t fk_guard_is_sound(const fk_guard_t *guard)
             return 0;
         }
     }
-    return head_is_sound(guard);
+    return loop_is_sound(guard);
 }
 
 void fk_guard_seal(fk_guard_t *guard)
@@ -54,12 +55,13 @@ void fk_guard_seal(fk_guard_t *guard)
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
         seal_limb(guard, limb);
     }
-    seal_head(guard);
+    seal_loop(guard);
 }
 
-/* Books of a limb that was on for so long just before time 0. Pulses side by side from time 0 on: as many as fitted into a
- * window fit into the books. */
-static void begin_limb(fk_guard_t *guard, uint32_t at, uint32_t on_us)
+/* The history of a limb that was on for on_us in all just before time 0. It is entered as pulses that all begin at
+ * time 0, none longer than FK_PULSE_MAX_US: each then leaves the duty window later than the heat that it stands
+ * for. One entry stays unused, as no more than the others can overlap one window. */
+static void fill_limb(fk_guard_t *guard, uint32_t at, uint32_t on_us)
 {
     fk_guard_limb_t *limb = &guard->limbs[at];
     limb->next = 0u;
@@ -71,7 +73,7 @@ static void begin_limb(fk_guard_t *guard, uint32_t at, uint32_t on_us)
         limb->next = (uint16_t)(limb->next + ((part_us > 0u) ? 1u : 0u));
         on_us -= part_us;
     }
-    limb->off_us = 0u; /* it may have been on until then */
+    limb->off_us = 0u; /* it may have been on until the reset */
     limb->was_cut = 0u;
     seal_limb(guard, at);
 }
@@ -79,27 +81,27 @@ static void begin_limb(fk_guard_t *guard, uint32_t at, uint32_t on_us)
 void fk_guard_init(fk_guard_t *guard)
 {
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-        begin_limb(guard, limb, FK_DUTY_ON_MAX_US);
+        fill_limb(guard, limb, FK_DUTY_ON_MAX_US);
     }
     guard->fix_us = 0u;
     guard->closed_loop = 0u;
-    seal_head(guard);
+    seal_loop(guard);
 }
 
-/* What is damaged is not written to: a new check would pass it for sound. */
+/* Here and below a damaged part is not written to, because a new checksum would make it pass for sound. */
 void fk_guard_closed_loop(fk_guard_t *guard, int32_t closed)
 {
-    if (head_is_sound(guard)) {
+    if (loop_is_sound(guard)) {
         guard->closed_loop = (closed != 0) ? 1u : 0u;
-        seal_head(guard);
+        seal_loop(guard);
     }
 }
 
 void fk_guard_note_fix(fk_guard_t *guard, uint64_t capture_us)
 {
-    if (head_is_sound(guard) && capture_us > guard->fix_us) {
+    if (loop_is_sound(guard) && capture_us > guard->fix_us) {
         guard->fix_us = capture_us;
-        seal_head(guard);
+        seal_loop(guard);
     }
 }
 
@@ -108,9 +110,9 @@ uint64_t fk_guard_lost_us(const fk_guard_t *guard)
     return (guard->fix_us == 0u) ? 0u : guard->fix_us + FK_FIX_LOST_US + 1u;
 }
 
-/* Time on within the window that ends at until_us. Any window of that length that holds more would have to end
- * inside a pulse, and pulses are judged at their own end, when the window is fullest. On the pins the old pulses may be
- * late and the new one in time: the window reaches back that much further. */
+/* How long the limb is on within the duty window that ends at until_us. Of all windows the fullest end with a
+ * pulse, and fk_guard_allow() tests the one that ends with each new pulse. On the pins an old pulse may be late
+ * and the new one on time, so the window here reaches back FK_PORT_LATE_US further. */
 static uint64_t on_time_us(const fk_guard_limb_t *limb, uint64_t until_us)
 {
     uint64_t window_us = FK_DUTY_WINDOW_US + FK_PORT_LATE_US;
@@ -126,7 +128,7 @@ static uint64_t on_time_us(const fk_guard_limb_t *limb, uint64_t until_us)
     return sum_us;
 }
 
-static uint32_t last_of(const fk_guard_limb_t *limb)
+static uint32_t last_entry(const fk_guard_limb_t *limb)
 {
     return (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
 }
@@ -139,20 +141,20 @@ static uint32_t crc_of(const fk_guard_persistent_t *persistent)
         fk_put_u32(bytes, persistent->on_us[i]);
         crc = fk_crc32(crc, bytes, sizeof(bytes));
     }
-    return crc ^ KEPT_MARK;
+    return crc ^ CHECK_START;
 }
 
 void fk_guard_keep(const fk_guard_t *guard, fk_guard_persistent_t *persistent)
 {
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
         const fk_guard_limb_t *limb = &guard->limbs[i];
-        uint32_t last = last_of(limb);
+        uint32_t last = last_entry(limb);
         persistent->on_us[i] = (uint32_t)on_time_us(limb, limb->start_us[last] + limb->on_us[last]);
     }
     persistent->crc = crc_of(persistent);
 }
 
-void fk_guard_lose(fk_guard_persistent_t *persistent) { persistent->crc = ~crc_of(persistent); }
+void fk_guard_invalidate(fk_guard_persistent_t *persistent) { persistent->crc = ~crc_of(persistent); }
 
 int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_persistent_t *persistent)
 {
@@ -160,7 +162,7 @@ int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_persistent_t *persiste
         return 0;
     }
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-        begin_limb(guard, limb, persistent->on_us[limb]);
+        fill_limb(guard, limb, persistent->on_us[limb]);
     }
     return 1;
 }
@@ -173,7 +175,7 @@ int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, 
     if (limb_mask == 0u || pulse_us == 0u || pulse_us > FK_PULSE_MAX_US) {
         return 0;
     }
-    if (guard->closed_loop != 0u && now_us + FK_PORT_LATE_US > guard->fix_us + FK_FIX_FRESH_US) {
+    if (guard->closed_loop != 0u && (guard->fix_us == 0u || now_us + FK_PORT_LATE_US > guard->fix_us + FK_FIX_FRESH_US)) {
         return 0;
     }
     uint64_t end_us = now_us + pulse_us;
@@ -214,7 +216,7 @@ void fk_guard_not_begun(fk_guard_t *guard, uint8_t limb_mask)
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
         if ((limb_mask & (1u << i)) != 0u && limb_is_sound(guard, i)) {
             fk_guard_limb_t *limb = &guard->limbs[i];
-            uint32_t last = last_of(limb);
+            uint32_t last = last_entry(limb);
             limb->on_us[last] = 0u;
             limb->off_us = limb->start_us[last];
             seal_limb(guard, i);
@@ -228,9 +230,10 @@ void fk_guard_cut(fk_guard_t *guard, uint64_t now_us)
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
         fk_guard_limb_t *limb = &guard->limbs[i];
         if (limb->off_us > off_us && limb_is_sound(guard, i)) {
-            uint32_t last = last_of(limb);
+            uint32_t last = last_entry(limb);
             uint64_t on_us = off_us - limb->start_us[last];
-            /* Begun in time and cut late, it was on for that much longer. */
+            /* It may have begun on time and been cut late: on from its start to off_us, but no longer than it was
+             * to last. */
             limb->on_us[last] = (limb->on_us[last] > on_us) ? (uint32_t)on_us : limb->on_us[last];
             limb->off_us = off_us;
             limb->was_cut = 1u;

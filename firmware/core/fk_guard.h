@@ -1,6 +1,12 @@
-/* The guard: limits that no command can raise. It stands between every wish for a pulse and the pins.
- * Its numbers come from the robot's TOML through fk_robot_config.h, at build; the assertions below are what no TOML can
- * exceed. The limits hold on the pins, which the port switches up to FK_PORT_LATE_US after the time that it told.
+/* The guard: limits on the limbs' pulses that no command can raise. The core asks fk_guard_allow() before every
+ * pulse, and no pulse reaches the port that it has refused: see fire() in fk_robot.c.
+ *
+ * The limits come from the robot's TOML through fk_robot_config.h when the firmware is built. The assertions below
+ * bound what a TOML may say. The limits hold on the pins, which the port may switch up to FK_PORT_LATE_US after the
+ * time of the tick.
+ *
+ * The guard keeps a history of each limb's latest pulses. A pulse is entered when it is allowed, so before the pins
+ * switch. Whatever is not known for certain counts as heat: after a reset, a late port, a pulse that was cut.
  */
 #ifndef FK_GUARD_H
 #define FK_GUARD_H
@@ -10,14 +16,15 @@
 #include "fk_planner.h"
 #include "fk_robot_config.h"
 
-/* From the time told to the core's tick until the port has switched the pins that this tick asks for. A port that would
- * be later does not begin the pulse, and tells the core. */
+/* The longest time from the now_us of fk_robot_tick() until the port has switched the pins as that tick's outputs
+ * say. A port that would be later does not begin the pulse, and calls fk_robot_note_pulse_failed(). */
 #define FK_PORT_LATE_US 200u
 
-/* A limb rests at least FK_REST_MIN_US between pulses, so this many pulses can touch one duty window at most. */
+/* Pulses of a limb that are remembered. A limb rests at least FK_REST_MIN_US between two pulses, so no more than
+ * this many can overlap one duty window. */
 #define FK_GUARD_HISTORY ((FK_DUTY_WINDOW_US + FK_PORT_LATE_US) / FK_REST_MIN_US + 2u)
 
-#define FK_PULSE_CEILING_US 100000u     /* for every robot: a limb of shape memory alloy burns when it is heated on */
+#define FK_PULSE_CEILING_US 100000u     /* of every robot: a limb of shape memory alloy burns if it is heated for longer */
 #define FK_FIX_FRESH_CEILING_US 500000u
 #define FK_FIX_LOST_CEILING_US 2000000u
 
@@ -28,81 +35,88 @@ typedef char fk_limbs_limit_is_a_limit[(FK_LIMBS_AT_ONCE_MAX >= 1u && FK_LIMBS_A
 typedef char fk_fresh_limit_is_a_limit[(FK_FIX_FRESH_US <= FK_FIX_FRESH_CEILING_US) ? 1 : -1];
 typedef char fk_lost_limit_is_a_limit[(FK_FIX_LOST_US <= FK_FIX_LOST_CEILING_US) ? 1 : -1];
 
-/* Each part of the books carries a check over all that it holds. Nothing is allowed, and nothing is entered, where one does
- * not hold: a change within one word of a part never goes unseen, any other one in 2^32 does. */
+/* The history is in nine parts, one for each limb and one for the loop, and each part has a checksum over all of
+ * its other fields. fk_guard_allow() refuses every pulse while any checksum is wrong, and no function below but
+ * fk_guard_init(), fk_guard_resume() and fk_guard_seal() writes to a part whose checksum is wrong. A change within
+ * one 32-bit word of a part is always found; of other changes one in 2^32 is not. */
 typedef struct {
-    uint64_t start_us[FK_GUARD_HISTORY]; /* ring of each limb's latest pulses */
-    uint32_t on_us[FK_GUARD_HISTORY];    /* their lengths; 0 = this place was never used, or the pulse did not begin */
-    uint64_t off_us;                     /* when its pin is low for certain after the last one; rest begins here */
-    uint16_t next;                       /* place of the next pulse, also the oldest */
-    uint16_t was_cut;                    /* that one was cut: the pin was low before any pulse that came later */
+    uint64_t start_us[FK_GUARD_HISTORY]; /* ring buffer of the limb's latest pulses: when each began */
+    uint32_t on_us[FK_GUARD_HISTORY];    /* how long each was on; 0 = entry not used yet, or the pulse did not begin */
+    uint64_t off_us;                     /* when the pin is low for certain after the last pulse: its rest begins here */
+    uint16_t next;                       /* entry of the next pulse, which is also the oldest one */
+    uint16_t was_cut;                    /* 1: all outputs were switched off during the last pulse, before any later one began */
     uint32_t check;
 } fk_guard_limb_t;
 
 typedef struct {
     fk_guard_limb_t limbs[FK_LIMBS_MAX];
-    uint64_t fix_us;      /* capture of the newest position fix; 0 also where there was none */
-    uint32_t closed_loop; /* pulses need a fresh fix */
-    uint32_t check;       /* over these two */
+    uint64_t fix_us;      /* capture time of the newest position fix; 0: there was none */
+    uint32_t closed_loop; /* 1: a pulse needs a fresh fix */
+    uint32_t check;       /* over fix_us and closed_loop */
 } fk_guard_t;
 
-/* What a reset must not wipe out, in RAM that the start-up leaves alone: how long each limb was on within the duty window
- * that ended with its last pulse. After a time without supply that RAM holds something else, which the CRC-32 tells. */
+/* What must survive a reset, in RAM that the start-up code does not clear: how long each limb was on within the
+ * duty window that ended with its last pulse. After a loss of supply that RAM holds something else, which the
+ * CRC-32 shows. */
 typedef struct {
     uint32_t on_us[FK_LIMBS_MAX];
     uint32_t crc;
 } fk_guard_persistent_t;
 
-/* How long after time 0 limbs of which nobody knows how hot they are count as cool. */
+/* After a start at which the limbs' heat is unknown: the time from which a limb may be heated as if it were cool. */
 #define FK_UNKNOWN_HEAT_REST_US                                                                                       \
     ((FK_DUTY_WINDOW_US > FK_REST_MIN_US ? FK_DUTY_WINDOW_US : FK_REST_MIN_US) + FK_PORT_LATE_US)
 
-/* Books of limbs of which nobody knows how hot they are: as if all the heat that is allowed had gone into each just before
- * time 0. */
+/* The limbs' heat is unknown: the history is filled as if each limb had been on for all of FK_DUTY_ON_MAX_US just
+ * before time 0, or for as much of it as pulses and rests allow. */
 void fk_guard_init(fk_guard_t *guard);
 
-/* After fk_guard_init: as if all that was kept had happened just now, as nobody knows how long ago it was.
+/* After fk_guard_init: fill the history as if each limb had been on for its persistent time just before time 0, since
+ * nobody knows how long ago that was.
  * @retval 1  done
- * @retval 0  what was kept is damaged or lost: the books stay as they are
+ * @retval 0  the persistent RAM is damaged or was lost: the history is not changed
  */
 int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_persistent_t *persistent);
 
-/* Keep what the books hold, which are sound. */
+/* Write the persistent RAM from the history, which is sound. A reset in the middle leaves a CRC-32 that is wrong. */
 void fk_guard_keep(const fk_guard_t *guard, fk_guard_persistent_t *persistent);
 
-/* The next start is not to believe what is kept. */
-void fk_guard_lose(fk_guard_persistent_t *persistent);
+/* Make the CRC-32 wrong, so that the limbs' heat is unknown at the next start. */
+void fk_guard_invalidate(fk_guard_persistent_t *persistent);
 
-/* The books were written by another hand, which answers for them: the checks are made to hold. */
+/* Make all checksums right. For whoever has written the structure itself: a snapshot that is restored. */
 void fk_guard_seal(fk_guard_t *guard);
 
-/* The robot follows a path on its own, or no longer. */
+/* closed: 1 = the robot follows a path by position fixes, so that each pulse needs a fresh one; 0 = it does not. */
 void fk_guard_closed_loop(fk_guard_t *guard, int32_t closed);
 
-/* A position fix was taken, a picture of capture_us. */
+/* The estimator took a position fix that was captured at capture_us. */
 void fk_guard_note_fix(fk_guard_t *guard, uint64_t capture_us);
 
-/* When the newest fix becomes older than FK_FIX_LOST_US: from then on a closed loop is over. */
+/* The time from which the newest fix is older than FK_FIX_LOST_US, so that a closed loop must end; 0 where there
+ * was no fix. */
 uint64_t fk_guard_lost_us(const fk_guard_t *guard);
 
-/* 1 where the books are as this file wrote them, else 0: memory is damaged, nothing in them can be believed. */
+/* 1 where every checksum is right, else 0: memory is damaged, and the history cannot be relied on. */
 int32_t fk_guard_is_sound(const fk_guard_t *guard);
 
-/* May these limbs be heated now? If so the pulse is entered in the books, wholly or not at all.
- * @param limb_mask  bit i = limb i; not 0
- * @param pulse_us   1 to FK_PULSE_MAX_US
- * @param now_us     the robot's clock; never goes back
+/* May these limbs be heated from now on? If so the pulse is entered in each one's history; else nothing is changed.
+ * @param limb_mask  bit i = limb i
+ * @param pulse_us   how long
+ * @param now_us     the robot's clock, which never goes back
  * @retval 1   allowed and entered
- * @retval 0   refused: too long, too soon after the last, too much within FK_DUTY_WINDOW_US, too many limbs at once, or
- *             in a closed loop without a fix of the last FK_FIX_FRESH_US
- * @retval -1  refused: the books are damaged
+ * @retval 0   refused: no limb, or a pulse of 0 or more than FK_PULSE_MAX_US; less than FK_REST_MIN_US since a limb's
+ *             last pulse; more than FK_DUTY_ON_MAX_US within FK_DUTY_WINDOW_US; more than FK_LIMBS_AT_ONCE_MAX limbs
+ *             on at once; or a closed loop without a fix that is at most FK_FIX_FRESH_US old when the pins switch
+ * @retval -1  refused: the history is damaged
  */
 int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
 
-/* The pulse that was entered last for these limbs did not begin: it counts as one of no length. */
+/* The pulse that was entered last for these limbs did not begin: it counts as one of length 0. */
 void fk_guard_not_begun(fk_guard_t *guard, uint8_t limb_mask);
 
-/* All outputs were switched off at now_us: pulses that were still on end there. */
+/* All outputs are switched off, now_us being the time of the tick that asks for it: a pulse that is still on ends
+ * at the latest FK_PORT_LATE_US after that. */
 void fk_guard_cut(fk_guard_t *guard, uint64_t now_us);
 
 #endif

@@ -2,10 +2,11 @@
 #include "fk_robot_state.h"
 #include "fk_store.h"
 
-/* A robot that lives through a log has no store: what is logged was admitted. */
+/* A robot that replays a log has no store, so no owner: the commands in a log had been admitted. */
 int32_t fk_robot_is_owned(const fk_robot_t *robot) { return robot->store != 0 && fk_store_is_owned(robot->store); }
 
-/* Take a frame's code away, or refuse it. Nothing that a stranger sends keeps an armed robot armed. */
+/* Check and remove a frame's code, or refuse the frame. Only the owner's frames keep an armed robot from
+ * disarming. */
 int8_t fk_robot_admit(fk_robot_t *robot, fk_frame_t *frame)
 {
     const int32_t is_owned = fk_robot_is_owned(robot);
@@ -33,7 +34,7 @@ static int8_t take_key(fk_robot_t *robot, const uint8_t *payload, uint64_t now_u
         return FK_STATUS_STATE;
     }
     if (!fk_auth_seed(&robot->auth)) {
-        return FK_STATUS_UNKNOWN; /* a robot that nobody could command any more */
+        return FK_STATUS_UNKNOWN; /* with a key but no nonces, nobody could command the robot any more */
     }
     status = fk_store_own(robot->store, key);
     robot->auth.has_pending = 0u;
@@ -57,10 +58,10 @@ static int32_t on_challenge(fk_robot_t *robot, const uint8_t *payload, uint8_t *
         fk_put_i8(answer, status);
         return 1;
     }
-    fk_challenge_answer_t told = {status,
+    fk_challenge_answer_t reply = {status,
                                   fk_get_u32(nonce), fk_get_u32(nonce + 4), fk_get_u32(nonce + 8), fk_get_u32(nonce + 12),
                                   fk_get_u32(proof), fk_get_u32(proof + 4), fk_get_u32(proof + 8), fk_get_u32(proof + 12)};
-    fk_challenge_answer_pack(answer, &told);
+    fk_challenge_answer_pack(answer, &reply);
     return (int32_t)FK_CHALLENGE_ANSWER_BYTES;
 }
 

@@ -1,19 +1,19 @@
 /* What goes in and out: frames to commands, answers to the transmit buffer. */
 #include "fk_robot_state.h"
 
-/* Commands of which a repetition must not change it again. What switches off always acts: two senders may use the same numbers,
- * and a robot that answers "disarmed" from memory would go on. A chunk or a key that comes again does no harm, but
- * its authentication code was had before. */
+/* Commands that must not act again when they are repeated. DISARM and STOP always act: two hosts may use the same
+ * sequence numbers, and a robot that answered them from memory would go on. A repeated chunk or key would do no
+ * harm, but its authentication counter was used before, so it is answered from memory too. */
 static int32_t acts_once(uint8_t type)
 {
-    const int32_t changes = fk_robot_matters(type) || type == FK_FRAME_TABLE_CHUNK || type == FK_FRAME_KEY;
+    const int32_t changes = fk_robot_changes_state(type) || type == FK_FRAME_TABLE_CHUNK || type == FK_FRAME_KEY;
     return changes && type != FK_FRAME_DISARM && type != FK_FRAME_STOP;
 }
 
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
 {
     fk_frame_t frame;
-    /* An answer is not a command: on a line that echoes, the robot would answer its own answers for ever. */
+    /* An answer is not a command: on a line that echoes, the robot would answer its own answers without end. */
     if (fk_frame_decode(encoded, length, &frame) != 0 || (frame.type & FK_ANSWER_BIT) != 0u) {
         ++robot->frames_bad;
         return;
@@ -22,8 +22,8 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
     if (!fk_robot_is_owned(robot)) {
         robot->heard_us = robot->now_us;
     }
-    /* Events of an earlier tick go first: the order of what is sent is the order of what happened, and a host
-     * can decide everything again from it. */
+    /* Events of an earlier tick are sent first, so that all is sent in the order in which it happened, and a host
+     * can replay it. */
     fk_robot_send_events(robot);
     uint8_t answer[FK_PAYLOAD_BYTES_MAX];
     uint8_t type = (uint8_t)(frame.type | FK_ANSWER_BIT);
@@ -38,7 +38,7 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         return;
     }
     const int8_t refusal = fk_robot_admit(robot, &frame);
-    if (refusal != FK_STATUS_OK) { /* and nothing of it is kept: a stranger's frames are to push out none of the owner's */
+    if (refusal != FK_STATUS_OK) { /* nor is it kept for repetitions, where a stranger's frames would displace the owner's */
         fk_put_i8(answer, refusal);
         fk_robot_send(robot, type, frame.sequence, answer, 1u);
         return;

@@ -15,7 +15,7 @@ static void add(fk_check_t *check, uint8_t byte)
     check->sums = (uint8_t)(check->sums + check->sum);
 }
 
-/* Place of a byte that is held, or the next one to be. */
+/* Index in bytes[] of an offset from begin to end. */
 static uint32_t place_of(const fk_log_t *log, uint32_t offset)
 {
     uint32_t place = log->first + (offset - log->begin);
@@ -67,7 +67,8 @@ int32_t fk_log_open(fk_log_t *log)
     return 0;
 }
 
-/* Also where a damaged length is dropped the end is not passed: no record is as long as what is held by then. */
+/* A damaged length cannot take `begin` past `end`: more bytes than the longest record are still held when a record
+ * is dropped. */
 static void make_room(fk_log_t *log, uint32_t bytes)
 {
     while (log->end - log->begin > FK_LOG_BYTES - bytes) {

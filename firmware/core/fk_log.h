@@ -1,13 +1,13 @@
-/* What the robot lived through, in RAM: records one behind the other in a ring, the oldest overwritten, whole ones only.
- * A host fetches them with LOG and decides everything again from them; which records there are and what stands in them
- * says frames.toml, of which the documentation has the table: host/docs/pages/reference/link.md.
+/* The robot's log: a ring buffer of records in RAM, in which whole records overwrite the oldest ones. A host fetches
+ * it with LOG and can replay every decision from it. frames.toml defines the records;
+ * host/docs/pages/reference/link.md lists them.
  *
- * A record: length u8 of its content, id u8, check u16, time 48 bit (us, the robot's clock), content. The check is that
- * of Fletcher, modulo 256, over all but itself: it finds every single wrong bit, and costs little.
+ * A record: length u8 of its content, id u8, checksum u16, time 48 bit (us, the robot's clock), content. The checksum
+ * is Fletcher's (Fletcher 1982), modulo 256, over all but itself: it finds every single wrong bit, and is cheap.
  *
- * Offsets count all bytes ever written, modulo 2^32: what has been fetched keeps its offset while the ring goes round.
- * In RAM that no start-up clears it outlives a reset; after a time without supply that RAM holds something else, which
- * the checks tell.
+ * An offset counts all bytes ever written, modulo 2^32, so a record keeps its offset while the ring goes round. In
+ * RAM that no start-up code clears the log survives a reset. After a loss of supply that RAM holds something else,
+ * which the checksums show.
  */
 #ifndef FK_LOG_H
 #define FK_LOG_H
@@ -22,10 +22,10 @@
 
 #define FK_LOG_HEAD_BYTES 10u
 #define FK_LOG_CONTENT_MAX 255u
-#define FK_LOG_SNAPSHOT_EVERY_BYTES 6144u /* of other records; a host that replays the log must have the same */
-#define FK_LOG_SNAPSHOT_MAX_BYTES 4096u   /* with its heads */
+#define FK_LOG_SNAPSHOT_EVERY_BYTES 6144u /* of other records between snapshots; a host that replays the log has the same */
+#define FK_LOG_SNAPSHOT_MAX_BYTES 4096u   /* all records of one snapshot, with their heads */
 
-/* So there is always a whole snapshot in it. */
+/* So that the log always holds a whole snapshot. */
 typedef char fk_log_holds_two_snapshots[(FK_LOG_BYTES >= FK_LOG_SNAPSHOT_EVERY_BYTES + 2u * FK_LOG_SNAPSHOT_MAX_BYTES &&
                                          FK_LOG_BYTES <= 0x40000000u)
                                             ? 1
@@ -34,19 +34,19 @@ typedef char fk_log_holds_two_snapshots[(FK_LOG_BYTES >= FK_LOG_SNAPSHOT_EVERY_B
 typedef struct {
     uint32_t magic;
     uint32_t begin; /* offset of the oldest record */
-    uint32_t end;   /* behind the newest one */
-    uint32_t first; /* place of the oldest record in bytes */
-    uint32_t lost;  /* records overwritten */
+    uint32_t end;   /* offset behind the newest record */
+    uint32_t first; /* index in bytes[] of the oldest record */
+    uint32_t lost;  /* records that were overwritten */
     uint8_t bytes[FK_LOG_BYTES];
 } fk_log_t;
 
-/* Go on with what is there, if all of it is whole; else begin empty.
- * @retval 1  goes on
+/* Continue the log that is there if all of its records are sound; else begin an empty one.
+ * @retval 1  continued
  * @retval 0  empty
  */
 int32_t fk_log_open(fk_log_t *log);
 
-/* Add a record; what has no room beside it goes, from the oldest on.
+/* Add a record; the oldest ones are dropped as far as it needs their room.
  * @param content  of 0 to FK_LOG_CONTENT_MAX bytes
  * @retval  its offset
  */
@@ -57,7 +57,7 @@ uint32_t fk_log_write(fk_log_t *log, uint8_t id, uint64_t time_us, const uint8_t
  */
 void fk_log_finish(fk_log_t *log, uint32_t offset, uint8_t last);
 
-/* Copy what is there from an offset on; from the oldest record on where that place is there no longer, or not yet.
+/* Copy bytes from an offset on, or from the oldest record on if the offset is no longer in the log, or not yet.
  * @param from  offset of the first byte copied
  * @retval  bytes copied, 0 to capacity
  */

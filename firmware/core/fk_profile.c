@@ -27,14 +27,15 @@ void fk_profile_within(float since_s, float period_s, float fire_s, fk_profile_t
     const float half_fire = 0.5f * fire;
     const float glide = 1.0f - fire;
     const float glide_part = FK_GLIDE_PART * glide;
-    /* The glide begins with the speed: distance x of_way + speed at the start x of_start + at the end x of_end. */
+    /* The glide begins at the speed: distance x of_way + speed at the start x of_start + speed at the end x
+     * of_end. */
     const float of_way = 1.0f / (half_fire + glide_part);
     const float of_start = -half_fire * of_way;
     const float of_end = -(glide - glide_part) * of_way;
-    float area;      /* distance so far at the speed that the glide begins with, */
-    float start;     /* at that of the start, */
-    float end;       /* at that of the end; periods */
-    float share;     /* parts of these three in the speed now */
+    float area;      /* distance so far due to the speed at which the glide begins, in periods, */
+    float start;     /* due to the speed at the start, */
+    float end;       /* and due to that at the end */
+    float share;     /* parts of these three speeds in the speed now */
     float share_start;
     float share_end;
     if (x <= fire) {
@@ -44,7 +45,7 @@ void fk_profile_within(float since_s, float period_s, float fire_s, fk_profile_t
         end = 0.0f;
         share_start = 1.0f - share;
         share_end = 0.0f;
-        profile->doubt = share * rest;
+        profile->error_share = share * rest;
     } else {
         const float s = (x - fire) / glide;
         const float u = 1.0f - s;
@@ -55,7 +56,7 @@ void fk_profile_within(float since_s, float period_s, float fire_s, fk_profile_t
         share = 0.5f * (u * (1.0f + u));
         share_start = 0.0f;
         share_end = 1.0f - share;
-        profile->doubt = rest;
+        profile->error_share = rest;
     }
     profile->pose[2] = area * of_way;
     profile->pose[0] = 1.0f - profile->pose[2];

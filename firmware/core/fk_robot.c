@@ -106,26 +106,28 @@ void fk_robot_use_learned(fk_robot_t *robot, fk_wear_persistent_t *learned)
 
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = store; }
 
-/* The store has put another table in use, and checked it; the robot is disarmed. What the guard knows stays. */
+/* The store has put another table in use, and checked it; the robot is disarmed. The guard's history stays as it
+ * is. */
 void fk_robot_use_tables(fk_robot_t *robot)
 {
     (void)fk_fit_open(robot->store->image, robot->store->image_bytes, &robot->tables);
     begin_with_tables(robot, robot->estimator.track.wear.learn);
 }
 
-/* Two costs are known by measurement on the chip: what a decision takes at all, and what each transition adds at
- * most. A search that may take a time may evaluate the transitions that fit into it. */
+/* Two durations were measured on the chip: the fixed part of a decision, and the most that each transition adds. A
+ * search of limited time may evaluate as many transitions as fit into the rest of it. */
 uint32_t fk_robot_transitions_within(uint32_t plan_us)
 {
     if (plan_us == 0u || plan_us > FK_PLAN_TIME_WATCHDOG_US) {
-        plan_us = FK_PLAN_TIME_WATCHDOG_US; /* no wish is a limit as well: a search that hangs the robot resets it */
+        plan_us = FK_PLAN_TIME_WATCHDOG_US; /* also without a limit: the watchdog would end a longer search */
     }
     uint32_t left_us = (plan_us > FK_PLAN_FIXED_US) ? plan_us - FK_PLAN_FIXED_US : 0u;
     uint32_t transitions = left_us * 1000u / FK_TRANSITION_NS; /* left_us < FK_PLAN_TIME_WATCHDOG_US, so it fits */
     return (transitions > 0u) ? transitions : 1u;
 }
 
-/* A fix was taken: a run may end by it, but not at the end of a path that the next decision leaves. */
+/* The estimator took a fix, which may end the run; not while a new path waits, which the next decision will
+ * follow. */
 void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m)
 {
     fk_guard_note_fix(&robot->guard, capture_us);
@@ -220,19 +222,20 @@ static void decide(fk_robot_t *robot)
     robot->next_decision_us += robot->period_us;
 }
 
-/* Of damaged books nothing is kept: the next start does not know how hot the limbs are. */
-static void keep_books(fk_robot_t *robot, int32_t are_sound)
+/* Write the guard's history to persistent RAM. Of a damaged one nothing is kept: the limbs' heat is unknown at the
+ * next start. */
+static void keep_history(fk_robot_t *robot, int32_t is_sound)
 {
     if (robot->persistent != 0) {
-        if (are_sound != 0) {
+        if (is_sound != 0) {
             fk_guard_keep(&robot->guard, robot->persistent);
         } else {
-            fk_guard_lose(robot->persistent);
+            fk_guard_invalidate(robot->persistent);
         }
     }
 }
 
-/* Each tick, as fixes, decisions and commands change what is known, each of which a tick follows. */
+/* At each tick: fixes, decisions and commands change the estimate of wear, and a tick follows each of them. */
 static void keep_learned(fk_robot_t *robot)
 {
     if (robot->learned != 0) {
@@ -247,18 +250,18 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
         allowed = fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us);
     }
     if (allowed > 0) {
-        keep_books(robot, 1);
+        keep_history(robot, 1);
         outputs->limb_mask = limb_mask;
         outputs->pulse_us = robot->tables.pulse_us;
         robot->free_us = now_us + robot->tables.pulse_us + FK_STROKE_GAP_US;
         ++robot->pulses;
         robot->fired_mask = limb_mask;
         robot->fired_first = 0u;
-        fk_robot_log_pulse(robot, limb_mask, FK_PULSE_TOLD);
+        fk_robot_log_pulse(robot, limb_mask, FK_PULSE_ASKED);
         return 1;
     }
     if (allowed < 0) {
-        keep_books(robot, 0);
+        keep_history(robot, 0);
         fk_robot_fault(robot, FK_FAULT_GUARD, 0);
     }
     ++robot->pulses_refused;
@@ -266,7 +269,8 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
     return 0;
 }
 
-/* Half a stroke is none of the table's motions: none of it begins, and host and estimator are told so. */
+/* The table has no motion for half a stroke, so none of it begins; the estimator and the host learn that it is
+ * refused. */
 static void refuse_stroke(fk_robot_t *robot, uint8_t action)
 {
     fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
@@ -284,12 +288,12 @@ void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error)
         return;
     }
     if (!fk_guard_is_sound(&robot->guard)) {
-        keep_books(robot, 0);
+        keep_history(robot, 0);
         fk_robot_fault(robot, FK_FAULT_GUARD, 0);
         return;
     }
     fk_guard_not_begun(&robot->guard, robot->fired_mask);
-    keep_books(robot, 1);
+    keep_history(robot, 1);
     --robot->pulses;
     ++robot->pulses_refused;
     fk_robot_log_pulse(robot, robot->fired_mask, FK_PULSE_TOO_LATE);
@@ -304,7 +308,7 @@ static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_
     fk_action_t masks;
     fk_robot_log_stroke(robot, FK_RECORD_BEGUN, action);
     if (action == robot->tables.actions) {
-        return; /* a table without a resting action, and no estimate: nothing fires */
+        return; /* no estimate, and the table has no resting action: nothing fires */
     }
     if (fk_tables_action(&robot->tables, action, &masks) != FK_OK) {
         fk_robot_fault(robot, FK_FAULT_ACTION, 0);
@@ -337,7 +341,7 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
 
     if (robot->second_mask != 0u) {
         if (now_us >= later(robot->second_us, robot->free_us)) {
-            const uint8_t alone = robot->stroke_request; /* 1 + action of a stroke without first limbs */
+            const uint8_t alone = robot->stroke_request; /* 1 + action of a stroke that has no first limbs; else 0 */
             if (!fire(robot, robot->second_mask, now_us, outputs) && alone != 0u) {
                 refuse_stroke(robot, (uint8_t)(alone - 1u));
             }
@@ -350,17 +354,19 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
             begin_stroke(robot, (uint8_t)(robot->stroke_request - 1u), now_us, outputs);
             if (robot->second_mask == 0u || robot->fired_first != 0u) {
                 robot->stroke_request = 0u;
-            } /* else nothing of it has happened until its second limbs fire */
+            } /* else the stroke has no first limbs, and begins when its second ones fire */
         }
-    } else if (robot->state == FK_STATE_RUNNING && now_us >= robot->next_decision_us) {
-        /* What the port has not taken yet goes into the buffer, where a decision that does not fit is counted. */
+    } else if (robot->state == FK_STATE_RUNNING && now_us >= robot->next_decision_us && outputs->all_off == 0u) {
+        /* Not in a tick that switches limbs off, which must not wait for it. Events that wait go into the transmit
+         * buffer first, which counts those that do not fit. */
         fk_robot_send_events(robot);
         decide(robot);
     }
 
     keep_learned(robot);
 
-    /* A decision waits for a stroke that is under way; it is for its own time whenever it is made. */
+    /* A decision waits for the current stroke to have begun. It is computed for its scheduled time, however late
+     * it is made. */
     if (robot->all_off != 0u) {
         outputs->next_tick_us = now_us;
     } else if (robot->second_mask != 0u) {

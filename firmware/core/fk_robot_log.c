@@ -1,13 +1,13 @@
-/* What of the robot goes into its log, and when: enough to decide everything again from any snapshot on.
+/* What goes into the robot's log, and when: enough to replay every decision from any snapshot on.
  *
- * Logged are the commands that change something, with how they were answered, and all that the robot does by itself.
- * Fixes that come while it is disarmed are not, nor anything that a robot in FAULT refuses: a camera that goes on for
- * minutes would overwrite the run before. The next ARM begins with a snapshot then.
+ * Commands that change something are logged with the status of their answer, and everything that the robot does by
+ * itself. Fixes that arrive while it is disarmed are not logged, nor what a robot in FAULT refuses: a camera that
+ * runs on for minutes would overwrite the run before. The next ARM then begins with a snapshot.
  */
 #include "fk_robot_state.h"
 
-/* Commands that change something. FIX sees to repetitions itself, by its own sequence number. */
-int32_t fk_robot_matters(uint8_t type)
+/* Commands that change something, other than FIX: the estimator has its own filter for duplicate fixes. */
+int32_t fk_robot_changes_state(uint8_t type)
 {
     return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
            type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
@@ -47,33 +47,33 @@ void fk_robot_log(fk_robot_t *robot, uint8_t id, const uint8_t *content, uint32_
 
 void fk_robot_log_fault(fk_robot_t *robot)
 {
-    fk_fault_record_t told = {robot->fault, robot->fault_detail};
+    fk_fault_record_t record = {robot->fault, robot->fault_detail};
     uint8_t content[FK_FAULT_RECORD_BYTES];
-    fk_fault_record_pack(content, &told);
+    fk_fault_record_pack(content, &record);
     fk_robot_log(robot, FK_RECORD_FAULT, content, FK_FAULT_RECORD_BYTES);
 }
 
 void fk_robot_log_state(fk_robot_t *robot, uint8_t before, uint8_t event)
 {
-    fk_state_record_t told = {before, robot->state, event};
+    fk_state_record_t record = {before, robot->state, event};
     uint8_t content[FK_STATE_RECORD_BYTES];
-    fk_state_record_pack(content, &told);
+    fk_state_record_pack(content, &record);
     fk_robot_log(robot, FK_RECORD_STATE, content, FK_STATE_RECORD_BYTES);
 }
 
 void fk_robot_log_stroke(fk_robot_t *robot, uint8_t id, uint8_t action)
 {
-    fk_stroke_record_t told = {action, robot->stroke_us}; /* all records of strokes have the same content */
+    fk_stroke_record_t record = {action, robot->stroke_us}; /* all records of strokes have the same content */
     uint8_t content[FK_STROKE_RECORD_BYTES];
-    fk_stroke_record_pack(content, &told);
+    fk_stroke_record_pack(content, &record);
     fk_robot_log(robot, id, content, FK_STROKE_RECORD_BYTES);
 }
 
 void fk_robot_log_pulse(fk_robot_t *robot, uint8_t limb_mask, uint8_t allowed)
 {
-    fk_pulse_record_t told = {limb_mask, allowed, robot->tables.pulse_us};
+    fk_pulse_record_t record = {limb_mask, allowed, robot->tables.pulse_us};
     uint8_t content[FK_PULSE_RECORD_BYTES];
-    fk_pulse_record_pack(content, &told);
+    fk_pulse_record_pack(content, &record);
     fk_robot_log(robot, FK_RECORD_PULSE, content, FK_PULSE_RECORD_BYTES);
 }
 
@@ -82,8 +82,9 @@ static int32_t is_of_tables(uint8_t type)
     return type == FK_FRAME_TABLE_BEGIN || type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK;
 }
 
-/* A snapshot begins what can be decided again: before ARM where there is none that does, and in between so that the
- * ring always has one. While an update of the table is open ARM is refused, and the tables change. */
+/* A replay begins at a snapshot. One is written before ARM if something was not logged since the last, and after
+ * every FK_LOG_SNAPSHOT_EVERY_BYTES, so that the ring always holds one. While an update of the table is open ARM
+ * is refused. */
 static int32_t wants_snapshot(const fk_robot_t *robot, uint8_t type)
 {
     if (robot->state == FK_STATE_DISARMED &&
@@ -93,7 +94,7 @@ static int32_t wants_snapshot(const fk_robot_t *robot, uint8_t type)
     if (robot->log_broken != 0u) {
         return 1;
     }
-    /* It takes some 2 ms on the chip: not while a pulse of a stroke is due. */
+    /* It takes about 2 ms on the chip, so not while a pulse is due. */
     return robot->log->end - robot->log_mark >= FK_LOG_SNAPSHOT_EVERY_BYTES && robot->stroke_request == 0u &&
            robot->second_mask == 0u;
 }
@@ -102,7 +103,7 @@ uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame)
 {
     uint8_t content[FK_COMMAND_RECORD_BYTES + FK_PAYLOAD_BYTES_MAX + 1u];
     const int32_t is_fix = frame->type == FK_FRAME_FIX;
-    if (robot->log == 0 || robot->state == FK_STATE_FAULT || (!is_fix && !fk_robot_matters(frame->type))) {
+    if (robot->log == 0 || robot->state == FK_STATE_FAULT || (!is_fix && !fk_robot_changes_state(frame->type))) {
         return FK_LOG_NOTHING;
     }
     if (is_fix && robot->state == FK_STATE_DISARMED) {
@@ -115,8 +116,8 @@ uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame)
     if (is_of_tables(frame->type)) {
         robot->log_broken = 1u;
     }
-    fk_command_record_t told = {frame->type};
-    fk_command_record_pack(content, &told);
+    fk_command_record_t record = {frame->type};
+    fk_command_record_pack(content, &record);
     for (uint32_t i = 0u; i < frame->payload_length; ++i) {
         content[FK_COMMAND_RECORD_BYTES + i] = frame->payload[i];
     }
@@ -133,9 +134,9 @@ int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uin
     }
     fk_log_command_t command;
     fk_log_command_unpack(payload, &command);
-    fk_log_answer_t told = {FK_STATUS_OK, 0u, robot->log->begin, robot->log->end, robot->log->lost};
+    fk_log_answer_t record = {FK_STATUS_OK, 0u, robot->log->begin, robot->log->end, robot->log->lost};
     uint32_t count = fk_log_read(robot->log, command.offset, answer + FK_LOG_ANSWER_BYTES, FK_LOG_ANSWER_ROWS_MAX,
-                                 &told.offset);
-    fk_log_answer_pack(answer, &told);
+                                 &record.offset);
+    fk_log_answer_pack(answer, &record);
     return (int32_t)(FK_LOG_ANSWER_BYTES + count);
 }

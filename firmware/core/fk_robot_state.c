@@ -1,4 +1,4 @@
-/* The state and the strokes that are asked for: the one place that changes them. */
+/* The robot's state and the requested stroke. No other file changes the state or requests a stroke. */
 #include "fk_robot_state.h"
 
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us)
@@ -21,11 +21,11 @@ void fk_robot_no_more_pulses(fk_robot_t *robot)
     robot->stroke_request = 0u;
 }
 
-/* A new path that has come whole takes the place of the followed one; of half a path nothing is kept. */
+/* A new path that has arrived completely replaces the followed one; an incomplete one is dropped. */
 void fk_robot_use_coming(fk_robot_t *robot)
 {
     if (robot->coming.count != 0u) {
-        for (uint32_t i = 0u; i < robot->coming.count; ++i) { /* by words: the chip copies a structure by bytes */
+        for (uint32_t i = 0u; i < robot->coming.count; ++i) { /* word by word: a copied structure would become a memcpy by bytes */
             robot->path.x_m[i] = robot->coming.x_m[i];
             robot->path.y_m[i] = robot->coming.y_m[i];
             robot->path.tangent_rad[i] = robot->coming.tangent_rad[i];
@@ -55,7 +55,7 @@ int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
     const uint8_t before = robot->state;
     robot->state = rule.next;
     if (before == FK_STATE_RUNNING && robot->state != FK_STATE_RUNNING) {
-        fk_robot_use_coming(robot); /* the next START follows the newest whole path */
+        fk_robot_use_coming(robot); /* the next START follows the newest complete path */
     }
     if (before != robot->state) {
         fk_robot_log_state(robot, before, event);

@@ -1,8 +1,8 @@
-/* What a robot is made of, and what the core's own files ask of each other. A port includes this to give a robot its
- * memory, and calls what is in fk_robot.h.
+/* The members of a robot, and the functions that the core's own files call of each other. A port includes this header
+ * to reserve memory for a robot; it calls only what fk_robot.h declares.
  *
- * Below stands each file's part in the order in which they lean on each other, from the first one, which leans on none of
- * the others: a test holds that there is no circle.
+ * The functions are grouped by file, in the order of dependence: a file calls only files above its own. A test
+ * enforces that there is no cycle.
  */
 #ifndef FK_ROBOT_STATE_H
 #define FK_ROBOT_STATE_H
@@ -20,12 +20,13 @@
 #define FK_PERIOD_MIN_US 500000u
 #define FK_PERIOD_MAX_US 5000000u
 #define FK_PLAN_TIME_MAX_US 1000000u
-#define FK_PLAN_TIME_WATCHDOG_US 600000u /* no search takes longer: the port's watchdog waits for 1 s; see below */
+#define FK_PLAN_TIME_WATCHDOG_US 600000u /* no search takes longer, as the port's watchdog waits for 1 s; see below */
 #define FK_TRANSITIONS_LIMIT 10000000u
-#define FK_PLAN_FIXED_US 600u        /* of a decision's time, what no transition takes; measured: study chip */
-/* The most that one more transition takes on the chip in the image of zig's clang, measured likewise. GCC's takes up to a
- * quarter more (tests/extra/test_arm_gcc.py): plans of a limited time are that much longer there, and the longest one
- * still ends before the watchdog. One number for all, so that every build decides alike. */
+#define FK_PLAN_FIXED_US 600u        /* part of a decision's time that does not depend on transitions; measured by: study chip */
+/* The longest time of one more transition on the chip when zig's clang builds the image, measured likewise. In an
+ * image of GCC it is up to a quarter longer (tests/extra/test_arm_gcc.py): a plan of limited time takes that much
+ * longer there, and the longest still ends before the watchdog resets the chip. All builds use one number, so that
+ * all decide alike. */
 #define FK_TRANSITION_NS 22000u
 
 struct fk_robot {
@@ -44,38 +45,38 @@ struct fk_robot {
 
     fk_log_t *log;      /* 0: none */
     uint32_t log_mark;  /* its end after the last snapshot */
-    uint8_t log_broken; /* something that changes decisions was not logged since then: another one is due */
+    uint8_t log_broken; /* something that changes decisions was not logged since then: a snapshot is due */
 
     uint8_t state;               /* FK_STATE_...; changed by fk_robot_supervise alone */
     uint8_t fault;               /* FK_FAULT_..., the first one since the reset */
     int8_t fault_detail;
     uint8_t reset;               /* FK_RESET_... */
-    uint8_t heat_unknown;        /* it started without knowing how hot its limbs were */
+    uint8_t heat_unknown;        /* the limbs' heat was unknown at the start */
     uint8_t supply;              /* FK_SUPPLY_... */
     uint16_t conversation;       /* of the last HELLO */
-    uint64_t now_us;             /* the latest time that the port told */
-    uint64_t heard_us;           /* when the last whole frame came; of the owner, where there is one */
-    uint8_t replays;             /* lives through a log, which says itself when the link was lost */
-    fk_path_t coming;            /* a PATH that comes during a run; whole where its count is not 0 */
+    uint64_t now_us;             /* the latest time that the port has passed in */
+    uint64_t heard_us;           /* when the last whole frame came; where the robot has an owner, the last of the owner's */
+    uint8_t replays;             /* 1: it replays a log, which holds by itself when the link was lost */
+    fk_path_t coming;            /* a PATH that arrives during a run; complete where its count is not 0 */
     uint8_t coming_points;       /* as path_points */
     uint8_t coming_total;
     uint8_t path_points;         /* points received so far */
-    uint8_t path_total;          /* points of the path being received; path is whole when both are equal, not 0 */
+    uint8_t path_total;          /* points of the path being received; it is complete when both are equal and not 0 */
     uint8_t resting_action;      /* first action that fires no limb; tables.actions where there is none */
     uint32_t period_us;
     uint64_t next_decision_us;   /* while RUNNING */
     uint32_t decisions;          /* since START */
 
-    uint8_t second_mask;         /* limbs of the stroke's second group, 0: none pending */
+    uint8_t second_mask;         /* limbs of the stroke's second group that are still to fire; 0: none */
     uint64_t second_us;          /* when they fire */
     uint8_t stroke_request;      /* 1 + action asked for by STROKE or a decision, begun by a next tick; 0: none */
-    uint64_t stroke_us;          /* when the action asked for last begins, as the estimator was told */
-    uint64_t free_us;            /* when the port's pulse timer is free: one pulse at a time */
+    uint64_t stroke_us;          /* when the action that was asked for last begins, as the estimator has it */
+    uint64_t free_us;            /* from when the port's one pulse timer is free */
     uint8_t all_off;             /* the next tick switches everything off */
-    uint8_t fired_mask;          /* limbs that the last tick asked the port to heat */
-    uint8_t fired_first;         /* 1 + action that begins with these; 0: limbs of a stroke that has begun */
+    uint8_t fired_mask;          /* limbs that the last tick asked the port to heat; 0: none */
+    uint8_t fired_first;         /* 1 + action whose first limbs these are; 0: its second ones */
 
-    uint8_t decision_pending;    /* a DECISION event waits for its computing time */
+    uint8_t decision_pending;    /* a DECISION event waits to be sent, with its computing time */
     fk_decision_event_t decision;
     uint8_t refused_pending;
     fk_refused_event_t refused;
@@ -102,9 +103,9 @@ void fk_robot_log_snapshot(fk_robot_t *robot);
 #define FK_LOG_NOTHING UINT32_MAX  /* no offset of a record: the command is not logged */
 #define FK_LOG_UNFINISHED (-128)   /* status of a command that the robot has not yet done */
 #define FK_PULSE_REFUSED 0u  /* by the guard */
-#define FK_PULSE_TOLD 1u     /* to the port */
+#define FK_PULSE_ASKED 1u    /* of the port */
 #define FK_PULSE_TOO_LATE 2u /* for the port */
-int32_t fk_robot_matters(uint8_t type);
+int32_t fk_robot_changes_state(uint8_t type);
 uint32_t fk_robot_rest_us(const fk_robot_t *robot);
 void fk_robot_log(fk_robot_t *robot, uint8_t id, const uint8_t *content, uint32_t length);
 void fk_robot_log_fault(fk_robot_t *robot);

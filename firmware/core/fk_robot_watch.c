@@ -1,4 +1,5 @@
-/* What ends a run or disarms without a command: time, fixes that are lost, a host that fell silent, a supply that falls. */
+/* What ends a run or disarms the robot without a command: a clock that goes back, lost fixes, a silent host, a low
+ * supply. */
 #include "fk_robot_state.h"
 
 void fk_robot_end_run(fk_robot_t *robot, int8_t status, uint8_t event)
@@ -40,14 +41,14 @@ void fk_robot_note_clock_failed(fk_robot_t *robot)
 
 void fk_robot_note_link_lost(fk_robot_t *robot) { (void)fk_robot_supervise(robot, FK_EVENT_LINK_LOST); }
 
-/* Nobody may have it armed and forget it. In a run lost fixes come first. */
-static int32_t is_forgotten(const fk_robot_t *robot)
+/* A robot must not stay armed when nobody talks to it. In a run, lost fixes end it sooner. */
+static int32_t is_host_silent(const fk_robot_t *robot)
 {
     return robot->state == FK_STATE_ARMED && robot->replays == 0u &&
            robot->now_us >= robot->heard_us + FK_LINK_SILENT_US;
 }
 
-/* What must hold whenever the robot is about to do something. */
+/* Checks before every frame and every tick. */
 void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
 {
     if (now_us < robot->now_us) {
@@ -61,7 +62,7 @@ void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
     if (robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)) {
         fk_robot_end_run(robot, FK_STATUS_STALE, FK_EVENT_FIX_LOST);
     }
-    if (is_forgotten(robot)) {
+    if (is_host_silent(robot)) {
         fk_robot_note_link_lost(robot);
     }
 }

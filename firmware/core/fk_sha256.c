@@ -14,7 +14,7 @@ static const uint32_t constants[64] = {
     0x748f82eeu, 0x78a5636fu, 0x84c87814u, 0x8cc70208u, 0x90befffau, 0xa4506cebu, 0xbef9a3f7u, 0xc67178f2u,
 };
 
-static uint32_t turned(uint32_t word, uint32_t bits) { return (word >> bits) | (word << (32u - bits)); }
+static uint32_t rotated(uint32_t word, uint32_t bits) { return (word >> bits) | (word << (32u - bits)); }
 
 /* FIPS 180-4, 6.2.2; the message schedule is kept as a ring of 16 words. */
 static void add_block(uint32_t state[FK_SHA256_WORDS], const uint8_t *block)
@@ -33,13 +33,13 @@ static void add_block(uint32_t state[FK_SHA256_WORDS], const uint8_t *block)
         if (round >= 16u) {
             uint32_t late = words[(round + 14u) % 16u];
             uint32_t early = words[(round + 1u) % 16u];
-            word += words[(round + 9u) % 16u] + (turned(late, 17u) ^ turned(late, 19u) ^ (late >> 10)) +
-                    (turned(early, 7u) ^ turned(early, 18u) ^ (early >> 3));
+            word += words[(round + 9u) % 16u] + (rotated(late, 17u) ^ rotated(late, 19u) ^ (late >> 10)) +
+                    (rotated(early, 7u) ^ rotated(early, 18u) ^ (early >> 3));
             words[round % 16u] = word;
         }
-        uint32_t first = v[7] + (turned(v[4], 6u) ^ turned(v[4], 11u) ^ turned(v[4], 25u)) +
+        uint32_t first = v[7] + (rotated(v[4], 6u) ^ rotated(v[4], 11u) ^ rotated(v[4], 25u)) +
                          ((v[4] & v[5]) ^ (~v[4] & v[6])) + constants[round] + word;
-        uint32_t second = (turned(v[0], 2u) ^ turned(v[0], 13u) ^ turned(v[0], 22u)) +
+        uint32_t second = (rotated(v[0], 2u) ^ rotated(v[0], 13u) ^ rotated(v[0], 22u)) +
                           ((v[0] & v[1]) ^ (v[0] & v[2]) ^ (v[1] & v[2]));
         for (uint32_t i = 7u; i > 0u; --i) {
             v[i] = v[i - 1u];
@@ -97,7 +97,7 @@ static void end(fk_sha256_t *hash)
             hash->block[i] = 0u;
         }
     }
-    /* The length in bits, 64 of them, the uppermost first; more than 2^32 bytes there are not. */
+    /* The length in bits, 64 of them, the uppermost first; there are never more than 2^32 bytes. */
     uint64_t bits = (uint64_t)hash->length * 8u;
     for (uint32_t i = 0u; i < 8u; ++i) {
         hash->block[FK_SHA256_BLOCK_BYTES - 1u - i] = (uint8_t)((bits >> (8u * i)) & 0xffu);

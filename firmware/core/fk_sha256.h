@@ -1,5 +1,5 @@
-/* SHA-256 (FIPS 180-4): tells a table from any other, which a CRC-32 does not. HMAC-SHA-256 (RFC 2104): tells who sent a
- * frame.
+/* SHA-256 (FIPS 180-4), which identifies a table as a CRC-32 cannot, and HMAC-SHA-256 (RFC 2104), which authenticates
+ * a frame's sender.
  */
 #ifndef FK_SHA256_H
 #define FK_SHA256_H
@@ -12,7 +12,7 @@
 
 typedef struct {
     uint32_t state[FK_SHA256_WORDS];
-    uint8_t block[FK_SHA256_BLOCK_BYTES]; /* what does not fill one yet */
+    uint8_t block[FK_SHA256_BLOCK_BYTES]; /* bytes that do not fill a block yet */
     uint32_t length;                      /* bytes so far */
 } fk_sha256_t;
 

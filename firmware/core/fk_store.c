@@ -17,7 +17,7 @@ static uint32_t slot_offset(const fk_store_t *store, uint32_t slot)
 
 static uint32_t layout_of(const fk_flash_t *flash) { return flash->slot_bytes + flash->slots; }
 
-/* Erase and write are believed when they can be read back. */
+/* Erase a page and read it back. */
 static int8_t erase_page(const fk_store_t *store, uint32_t offset)
 {
     fk_flash_erase(store->flash, offset);
@@ -45,8 +45,8 @@ static uint32_t check_of(const fk_store_words_t *words)
     return fk_crc32(0u, (const uint8_t *)words->words, FK_STORE_RECORD_BYTES - 4u);
 }
 
-/* A place of the journal. 0: never written; 1: written, but no whole record; 2: a record. */
-static int32_t read_place(const fk_store_t *store, uint32_t page, uint32_t place, fk_store_words_t *words)
+/* Read an entry of the journal. Returns 0: never written; 1: written, but not a valid record; 2: a valid record. */
+static int32_t read_entry(const fk_store_t *store, uint32_t page, uint32_t place, fk_store_words_t *words)
 {
     uint32_t offset = page * FK_FLASH_PAGE_BYTES + place * FK_STORE_RECORD_BYTES;
     int32_t kind = 0;
@@ -61,7 +61,7 @@ static int32_t read_place(const fk_store_t *store, uint32_t page, uint32_t place
     return kind;
 }
 
-/* Find the newest record and the place for the next one. */
+/* Find the newest valid record and the entry for the next one. */
 static void read_journal(fk_store_t *store)
 {
     static const fk_store_words_t nothing = {.words = {0u}};
@@ -73,7 +73,7 @@ static void read_journal(fk_store_t *store)
     for (uint32_t page = 0u; page < FK_STORE_JOURNAL_PAGES; ++page) {
         for (uint32_t place = 0u; place < FK_STORE_RECORDS; ++place) {
             fk_store_words_t words;
-            int32_t kind = read_place(store, page, place, &words);
+            int32_t kind = read_entry(store, page, place, &words);
             if (kind == 2 && words.record.sequence > store->record.sequence) {
                 store->record = words.record;
                 store->sequence = words.record.sequence;
@@ -81,8 +81,8 @@ static void read_journal(fk_store_t *store)
                 store->page = page;
                 store->place = place + 1u;
             } else if (kind == 1 && store->page == page && store->place < FK_STORE_RECORDS) {
-                /* Cut while it was written, behind the newest one: bits that hover may make it whole at another
-                 * boot, so its number and its place are used up. */
+                /* Behind the newest one, and cut off while it was written. Its bits may be marginal and read as a
+                 * valid record at another boot, so its sequence number and its entry are used up. */
                 store->sequence += place + 1u - store->place;
                 store->place = place + 1u;
             }
@@ -90,13 +90,13 @@ static void read_journal(fk_store_t *store)
     }
 }
 
-/* One record: the step that it stands for has happened when its last word is written, and not before. */
+/* Append a record. The step that it stands for has happened when its last word is written, and not before. */
 static int8_t append(fk_store_t *store, const fk_store_record_t *next)
 {
     fk_store_words_t words;
     words.record = *next;
     if (store->place >= FK_STORE_RECORDS) {
-        /* Never the page that holds the newest whole record. */
+        /* Never the page that holds the newest valid record. */
         uint32_t page = FK_STORE_JOURNAL_PAGES - 1u - store->newest_page;
         if (erase_page(store, page * FK_FLASH_PAGE_BYTES) != FK_STATUS_OK) {
             return FK_STATUS_FLASH;
@@ -202,8 +202,8 @@ static int32_t is_worn(const fk_store_record_t *record, uint8_t slot)
     return record->erases[slot - 1u] >= FK_FLASH_ERASES_MAX;
 }
 
-/* Where an update may go: not the table in use; the table before it only where there is no other; no worn slot.
- * 0: nowhere. */
+/* The slot for an update: neither the one in use nor a worn one, and the previous table's only where there is no
+ * other. 0: none. */
 static uint8_t free_slot(const fk_store_t *store)
 {
     uint8_t found = 0u;
@@ -248,7 +248,8 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
             next.hash[i] = hash[i];
         }
     }
-    /* The record says what is true when it is written: boot may have fallen back, and the slot is no table now. */
+    /* What is true when the record is written: boot may have fallen back to another table, and the slot's table is
+     * given up. */
     next.active = store->running;
     if (next.previous == next.pending || next.previous == next.active) {
         next.previous = FK_STORE_BUILT_IN;
@@ -260,7 +261,7 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
     return FK_STATUS_OK;
 }
 
-/* The update's record, before the first of its pages is erased: from here on each is erased once at most. */
+/* Write the update's record before the first of its pages is erased, so that each erase of the slot is counted. */
 static int8_t write_update(fk_store_t *store)
 {
     ++store->update.erases[store->update.pending - 1u];
@@ -268,7 +269,7 @@ static int8_t write_update(fk_store_t *store)
     return append(store, &store->update);
 }
 
-/* The chunk and, where it ends a page, the record of that. */
+/* Write a chunk and, where it completes a page, the record of that. */
 static int8_t write_chunk(fk_store_t *store, const uint8_t *bytes, uint32_t count)
 {
     uint32_t words[FK_STORE_CHUNK_BYTES / 4u] = {0u};
@@ -348,7 +349,7 @@ int8_t fk_store_commit(fk_store_t *store, int8_t *error)
     next.pending = 0u;
     if (status != FK_STATUS_OK) {
         next.length[slot - 1u] = 0u;
-        (void)append(store, &next); /* nothing to go on with; what the record does not say stays unused as well */
+        (void)append(store, &next); /* the upload cannot be continued; if this fails too, the table stays unused */
         return status;
     }
     next.previous = store->running;

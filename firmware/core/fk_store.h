@@ -1,18 +1,19 @@
-/* The table store: tables in flash, one in use, one beside it that an update fills; a power cut at any moment leaves
- * the whole old table or the whole new one.
+/* The table store: tables in flash, one in use and one beside it that an update fills. A power cut at any moment
+ * leaves the whole old table or the whole new one in use.
  *
  * The flash region holds two journal pages, then one or two slots of whole pages:
  *
  *   | journal 0 | journal 1 | slot 1 ... | slot 2 ... |        table 0 is the one built into the firmware
  *
- * The journal is a row of records. Each is the store's whole state with a sequence number, valid only by its own
- * CRC-32 and never changed; the newest valid one is the truth. So every step is one record: begin, each page that
- * is done, commit, rollback. A record goes to the next place that was never written; behind the last place the other
- * page is erased, which holds older records only, and the row goes on there.
+ * The journal is a sequence of records. Each holds the store's whole state with a sequence number, is valid only with
+ * a correct CRC-32, and is never changed; the newest valid one counts. So every step is one record: begin, each page
+ * that is done, commit, rollback. A record goes to the next entry that was never written. Behind the last entry the
+ * other page is erased, which holds only older records, and the journal continues there.
  *
- * A slot is erased and written only while it is neither in use nor what a rollback leads to, and a record
- * says so first: it is written when the first page is to be erased, so that beginning an update wears nothing. What a slot holds is believed when a COMMIT has read it all back (hash, CRC-32, format, every index,
- * robot, limits) and its record is whole; at boot it is checked again.
+ * A slot is erased and written only while it is neither in use nor the target of a rollback, and a record says so
+ * first. That record is written just before the first page is erased, so that beginning an update wears nothing. A
+ * table in a slot is used only after a COMMIT has read all of it back (hash, CRC-32, format, every index, robot,
+ * limits) and its record is valid; at boot it is checked again.
  */
 #ifndef FK_STORE_H
 #define FK_STORE_H
@@ -37,8 +38,8 @@ typedef struct {
     void *context;       /* the port's own */
 } fk_flash_t;
 
-/* What the port implements; names instead of pointers, so that the deepest stack can be worked out. Neither tells of
- * success: the store reads back. Both return when the flash has done it. */
+/* What the port implements: named functions instead of pointers, so that the stack analysis can follow them.
+ * Neither reports success, as the store reads back what it wrote. Both return when the flash is done. */
 
 /* Erase the page that begins at offset. */
 void fk_flash_erase(const fk_flash_t *flash, uint32_t offset);
@@ -50,7 +51,7 @@ void fk_flash_program(const fk_flash_t *flash, uint32_t offset, const uint32_t *
 typedef struct {
     uint32_t magic;                         /* FK_STORE_MAGIC */
     uint32_t sequence;                      /* the larger, the newer */
-    uint32_t layout;                        /* slot_bytes + slots: of another layout nothing is believed */
+    uint32_t layout;                        /* slot_bytes + slots: a record of another layout is not valid */
     uint8_t active;                         /* table in use: FK_STORE_BUILT_IN, 1 or 2 */
     uint8_t previous;                       /* the table before that, likewise */
     uint8_t pending;                        /* slot that an update writes, 0: none */
@@ -67,7 +68,7 @@ typedef struct {
 #define FK_STORE_MAGIC 0x32534B46u /* "FKS2" */
 #define FK_STORE_RECORD_WORDS 28u
 #define FK_STORE_RECORD_BYTES (4u * FK_STORE_RECORD_WORDS)
-#define FK_STORE_RECORDS (FK_FLASH_PAGE_BYTES / FK_STORE_RECORD_BYTES) /* places in a journal page */
+#define FK_STORE_RECORDS (FK_FLASH_PAGE_BYTES / FK_STORE_RECORD_BYTES) /* entries of a journal page */
 
 typedef char fk_store_record_is_whole[(sizeof(fk_store_record_t) == FK_STORE_RECORD_BYTES) ? 1 : -1];
 
@@ -77,29 +78,29 @@ typedef struct {
     uint32_t built_in_bytes;
     const uint8_t *image;     /* the table in use */
     uint32_t image_bytes;
-    uint8_t running;          /* its number; not record.active where that one was not good at boot */
-    uint8_t open;             /* an update takes chunks */
-    uint8_t begun;            /* the open update's record is written: its pages may be erased */
+    uint8_t running;          /* its number; differs from record.active where that table failed its check at boot */
+    uint8_t open;             /* 1: an update accepts chunks */
+    uint8_t begun;            /* 1: the open update's record is written, so its pages may be erased */
     uint32_t next_offset;     /* of the next chunk wanted */
-    fk_store_record_t record; /* the newest */
-    fk_store_record_t update; /* of the open update, until its first page is erased: an update begun writes nothing */
-    uint32_t sequence;        /* of the newest record, whole or not */
-    uint32_t newest_page;     /* journal page of the newest whole record */
-    uint32_t page;            /* where the next record goes */
-    uint32_t place;           /* FK_STORE_RECORDS: the page is full, it goes to the other one */
+    fk_store_record_t record; /* the newest one */
+    fk_store_record_t update; /* the open update's, until it is written before the first page is erased */
+    uint32_t sequence;        /* of the newest record, valid or not */
+    uint32_t newest_page;     /* journal page of the newest valid record */
+    uint32_t page;            /* journal page of the next record */
+    uint32_t place;           /* its entry there; FK_STORE_RECORDS: the page is full, and it goes to the other one */
 } fk_store_t;
 
-/* Find the last good table: the one in use, else the one before it, else the built-in one. Writes nothing.
+/* Find a table that passes its check: the one in use, else the one before it, else the built-in one. Writes nothing.
  * @param flash     stays valid as long as the store lives, like built_in
  * @retval 0         store->image is ready
- * @retval negative  fk_error_t: not even the built-in table is good
+ * @retval negative  fk_error_t: not even the built-in table passes
  */
 int32_t fk_store_boot(fk_store_t *store, const fk_flash_t *flash, const uint8_t *built_in, uint32_t built_in_bytes);
 
-/* Begin an update, or go on with one of the same length and hash at store->next_offset. Writes nothing.
+/* Begin an update, or continue one of the same length and hash at store->next_offset. Writes nothing.
  * @param length  bytes of the image, whole words
  * @retval FK_STATUS_OK
- * @retval FK_STATUS_VALUE  no length of a table, or more than a slot has
+ * @retval FK_STATUS_VALUE  not the length of a table, or more than a slot holds
  * @retval FK_STATUS_SLOT   the only slot holds the table in use: go back to the built-in one first
  * @retval FK_STATUS_WORN   each slot that is free has been erased FK_FLASH_ERASES_MAX times
  */
@@ -108,8 +109,8 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
 /* Write the next chunk: FK_STORE_CHUNK_BYTES, or what is left.
  * @retval FK_STATUS_OK
  * @retval FK_STATUS_STATE   no update is open
- * @retval FK_STATUS_OFFSET  not the offset wanted; nothing written
- * @retval FK_STATUS_LENGTH  not as many bytes as wanted
+ * @retval FK_STATUS_OFFSET  not store->next_offset; nothing was written
+ * @retval FK_STATUS_LENGTH  not FK_STORE_CHUNK_BYTES, or what is left; nothing was written
  * @retval FK_STATUS_FLASH   the flash does not hold what was written; the update is closed
  */
 int8_t fk_store_chunk(fk_store_t *store, uint32_t offset, const uint8_t *bytes, uint32_t count);
@@ -124,19 +125,19 @@ int8_t fk_store_chunk(fk_store_t *store, uint32_t offset, const uint8_t *bytes, 
  */
 int8_t fk_store_commit(fk_store_t *store, int8_t *error);
 
-/* Put a table in use that is here, by one record: the one before, or the built-in one. An open update is closed; that
- * is all where the table is in use already, so that asking twice changes nothing.
+/* Use a table that is stored here, by one record: the previous or the built-in one. An open update is closed. Nothing
+ * else happens where the table is in use already, so that a repeated request changes nothing.
  * @param crc32  as in the table's header
  * @param error  fk_error_t of FK_STATUS_TABLE
  * @retval FK_STATUS_OK
- * @retval FK_STATUS_VALUE  no such table here
- * @retval FK_STATUS_TABLE  it is damaged
+ * @retval FK_STATUS_VALUE  neither table has this CRC-32
+ * @retval FK_STATUS_TABLE  the table is damaged
  * @retval FK_STATUS_FLASH  the flash does not hold what was written
  */
 int8_t fk_store_rollback(fk_store_t *store, uint32_t crc32, int8_t *error);
 
-/* Keep an owner's key from now on, by one record; eight zeros: none. With no update open.
- * @retval FK_STATUS_OK     it is kept, or was already: then nothing is written
+/* Store an owner's key, by one record; eight zeros remove it. No update may be open.
+ * @retval FK_STATUS_OK     it is stored, or was already, and then nothing is written
  * @retval FK_STATUS_FLASH  the flash does not hold what was written
  */
 int8_t fk_store_own(fk_store_t *store, const uint32_t key[FK_STORE_KEY_WORDS]);

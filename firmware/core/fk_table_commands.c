@@ -1,4 +1,4 @@
-/* The commands of tables: TABLE_BEGIN to TABLE_STATUS. */
+/* The commands for tables: TABLE_BEGIN to TABLE_STATUS. */
 #include "fk_robot_state.h"
 #include "fk_store.h"
 
@@ -40,28 +40,29 @@ static int8_t rollback(fk_store_t *store, const fk_frame_t *frame, int8_t *error
     return fk_store_rollback(store, command.table_crc, error);
 }
 
-static int32_t tell(const fk_store_t *store, uint8_t *answer)
+static int32_t answer_table_status(const fk_store_t *store, uint8_t *answer)
 {
-    fk_table_status_answer_t told;
-    told.status = FK_STATUS_OK;
-    told.running = store->running;
-    told.active = store->record.active;
-    told.previous = store->record.previous;
-    told.open = store->open;
-    told.slots = (uint8_t)store->flash->slots;
-    told.slot_bytes = store->flash->slot_bytes;
-    told.running_crc = fk_store_crc32(store, store->running);
-    told.previous_crc = fk_store_crc32(store, store->record.previous);
-    told.built_in_crc = fk_store_crc32(store, FK_STORE_BUILT_IN);
-    told.next_offset = store->next_offset;
-    told.erases_1 = store->record.erases[0];
-    told.erases_2 = store->record.erases[1];
-    told.erases_journal = store->record.journal_erases;
-    fk_table_status_answer_pack(answer, &told);
+    fk_table_status_answer_t reply;
+    reply.status = FK_STATUS_OK;
+    reply.running = store->running;
+    reply.active = store->record.active;
+    reply.previous = store->record.previous;
+    reply.open = store->open;
+    reply.slots = (uint8_t)store->flash->slots;
+    reply.slot_bytes = store->flash->slot_bytes;
+    reply.running_crc = fk_store_crc32(store, store->running);
+    reply.previous_crc = fk_store_crc32(store, store->record.previous);
+    reply.built_in_crc = fk_store_crc32(store, FK_STORE_BUILT_IN);
+    reply.next_offset = store->next_offset;
+    reply.erases_1 = store->record.erases[0];
+    reply.erases_2 = store->record.erases[1];
+    reply.erases_journal = store->record.journal_erases;
+    fk_table_status_answer_pack(answer, &reply);
     return (int32_t)FK_TABLE_STATUS_ANSWER_BYTES;
 }
 
-/* What the commands that write share: no erase while a limb may fire. */
+/* The commands that change the store: refused while a limb is on or may fire, as erasing flash stops the
+ * processor. */
 static int8_t change(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, int8_t *error)
 {
     fk_store_t *store = robot->store;
@@ -92,17 +93,17 @@ int32_t fk_robot_table_command(fk_robot_t *robot, const fk_frame_t *frame, uint6
         return 1;
     }
     if (frame->type == FK_FRAME_TABLE_STATUS) {
-        return tell(store, answer);
+        return answer_table_status(store, answer);
     }
     const uint8_t *image = store->image;
-    fk_table_begin_answer_t told; /* the commands that write share this answer */
-    told.error = 0;
-    told.status = change(robot, frame, now_us, &told.error);
+    fk_table_begin_answer_t reply; /* the commands that write share this answer */
+    reply.error = 0;
+    reply.status = change(robot, frame, now_us, &reply.error);
     if (store->image != image) {
         fk_robot_use_tables(robot);
     }
-    told.next_offset = store->next_offset;
-    told.table_crc = robot->tables.image_crc32;
-    fk_table_begin_answer_pack(answer, &told);
+    reply.next_offset = store->next_offset;
+    reply.table_crc = robot->tables.image_crc32;
+    fk_table_begin_answer_pack(answer, &reply);
     return (int32_t)FK_TABLE_BEGIN_ANSWER_BYTES;
 }

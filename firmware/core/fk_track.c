@@ -1,10 +1,11 @@
 #include "fk_track.h"
 
-#define FK_EVERYWHERE 1e30f /* a gate for every pose that is a number */
+#define FK_GATE_OPEN 1e30f /* accepts every pose that is not NaN */
 #define FK_SPEED_MOST 1000.0f /* m/s, rad/s */
 
-static const float learn_parts[4] = {0.5f, 0.33333334f, 0.25f, 0.2f}; /* a mean at first, then a fading one */
-static const uint8_t spread_of[3] = {0u, 0u, 1u};                     /* of each axis */
+/* Weight of the n-th period whose error is learned from: a running mean at first, then an exponential one. */
+static const float learn_parts[4] = {0.5f, 0.33333334f, 0.25f, 0.2f};
+static const uint8_t covariance_of[3] = {0u, 0u, 1u}; /* index into covariance[] for x, y, heading */
 
 /* from_us <= to_us. 64 bits are not made a float: the chip has no instruction for that. */
 static float seconds(uint64_t from_us, uint64_t to_us)
@@ -34,7 +35,7 @@ void fk_track_restart(fk_track_t *track)
     fk_covariance_init(&track->covariance[0], &fk_noise_position);
     fk_covariance_init(&track->covariance[1], &fk_noise_heading);
     track->learned = 0u;
-    track->teaches = 0u;
+    track->prediction_valid = 0u;
     track->count = 0u;
 }
 
@@ -42,7 +43,7 @@ void fk_track_learn(fk_track_t *track, uint8_t learn)
 {
     if (learn == FK_LEARN_OFF && track->wear.learn != FK_LEARN_OFF) {
         fk_wear_init(&track->wear, track->tables, learn);
-        track->teaches = 0u; /* the period under way was predicted with what is forgotten */
+        track->prediction_valid = 0u; /* the period under way was predicted with what is forgotten */
     } else if (learn == FK_LEARN_HELD) {
         fk_wear_restart(&track->wear);
     }
@@ -51,15 +52,15 @@ void fk_track_learn(fk_track_t *track, uint8_t learn)
 
 void fk_track_forget(fk_track_t *track) { track->count = 0u; }
 
-/* What the table can be asked: a speed that is no number has no code. A track that holds one refuses every fix, and
- * so starts again from the third. */
+/* A speed that the table can look up: NaN has no code. A track that holds NaN refuses every fix, and so is reset
+ * by the third. */
 static float speed_or_rest(float speed)
 {
     return (speed >= -FK_SPEED_MOST && speed <= FK_SPEED_MOST) ? speed : 0.0f;
 }
 
-/* The table's word: the motion from instant `from` to the next in the body frame, and the velocity there. */
-static void ask_table(fk_track_t *track, uint32_t from, float heading_rad, float period_s, fk_motion_t *motion,
+/* What the table predicts: the motion from instant `from` to the next in the body frame, and the velocity there. */
+static void look_up(fk_track_t *track, uint32_t from, float heading_rad, float period_s, fk_motion_t *motion,
                       float *velocity)
 {
     const fk_tables_t *tables = track->tables;
@@ -88,7 +89,7 @@ static void ask_table(fk_track_t *track, uint32_t from, float heading_rad, float
             velocity[axis] = (float)next.velocity_code[axis] * tables->velocity_scale[axis];
         }
     } else {
-        /* The table has no row for rest: the robot goes on as it went. */
+        /* The table has no resting action: the velocity is assumed constant. */
         motion->forward_m = velocity[0] * period_s;
         motion->left_m = velocity[1] * period_s;
         motion->turn_rad = velocity[2] * period_s;
@@ -108,7 +109,7 @@ static void predict(fk_track_t *track, uint32_t from)
     float velocity[3]; /* body frame at the end */
     float sine;
     float cosine;
-    ask_table(track, from, heading_rad, period_s, &motion, velocity);
+    look_up(track, from, heading_rad, period_s, &motion, velocity);
     fk_sincos(heading_rad, &sine, &cosine);
     track->mean[0][then] = track->mean[0][now] + (cosine * motion.forward_m - sine * motion.left_m);
     track->mean[1][then] = track->mean[1][now] + (sine * motion.forward_m + cosine * motion.left_m);
@@ -162,12 +163,12 @@ static void open_period(fk_track_t *track, uint8_t action, uint8_t coasted)
     track->coasted[newest] = coasted;
     track->fixes[newest] = 0u;
     track->time_us[newest + 1u] = track->time_us[newest] + track->tables->period_us;
-    track->teaches = 1u;
+    track->prediction_valid = 1u;
     ++track->count;
     predict(track, newest);
 }
 
-/* Instant 0 gets a pose of which nothing is sure, and rest. */
+/* Instant 0 gets this pose, with the variance of an unknown one, and zero speed. */
 static void put_first(fk_track_t *track, const float *pose)
 {
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
@@ -188,7 +189,7 @@ static void begin_with(fk_track_t *track, uint64_t at_us, uint8_t action, uint8_
     }
     put_first(track, origin);
     open_period(track, action, coasted);
-    track->teaches = 0u;
+    track->prediction_valid = 0u;
 }
 
 void fk_track_begin(fk_track_t *track, uint64_t at_us) { begin_with(track, at_us, track->resting_action, 1u); }
@@ -234,30 +235,31 @@ int32_t fk_track_update(fk_track_t *track, uint64_t at_us, const float *pose, in
 {
     fk_profile_t profile;
     fk_innovation_t innovation[2];
-    float off[3];
+    float difference[3];
     const uint32_t states = 2u * track->count;
     const uint32_t from = profile_at(track, at_us, &profile);
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        off[axis] = pose[axis] - fk_profile_sum(profile.pose, track->mean[axis] + 2u * from);
+        difference[axis] = pose[axis] - fk_profile_sum(profile.pose, track->mean[axis] + 2u * from);
     }
-    off[2] = fk_wrap_angle(off[2]);
+    difference[2] = fk_wrap_angle(difference[2]);
     float position_gate =
         fk_covariance_innovation(&track->covariance[0], &profile, from, states, track->fixes[from], &innovation[0]);
     float heading_gate =
         fk_covariance_innovation(&track->covariance[1], &profile, from, states, track->fixes[from], &innovation[1]);
     if (gated == 0) {
-        position_gate = FK_EVERYWHERE;
-        heading_gate = FK_EVERYWHERE;
+        position_gate = FK_GATE_OPEN;
+        heading_gate = FK_GATE_OPEN;
     }
     /* Comparisons with NaN are false, so this refuses it too. */
-    if (!(off[0] * off[0] + off[1] * off[1] <= position_gate) || !(off[2] * off[2] <= heading_gate)) {
+    const float square_m2 = difference[0] * difference[0] + difference[1] * difference[1];
+    if (!(square_m2 <= position_gate) || !(difference[2] * difference[2] <= heading_gate)) {
         return 0;
     }
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        const fk_innovation_t *mine = &innovation[spread_of[axis]];
-        const float step = off[axis] / mine->variance;
+        const fk_innovation_t *one = &innovation[covariance_of[axis]];
+        const float step = difference[axis] / one->variance;
         for (uint32_t i = 0u; i < states; ++i) {
-            track->mean[axis][i] += mine->cross[i] * step;
+            track->mean[axis][i] += one->cross[i] * step;
         }
     }
     fk_covariance_update(&track->covariance[0], &innovation[0], states);
@@ -279,30 +281,30 @@ void fk_track_reset_pose(fk_track_t *track, uint64_t at_us, const float *pose)
         track->fixes[i] = 0u;
         predict(track, i);
     }
-    track->teaches = 0u;
+    track->prediction_valid = 0u;
     /* The pose is the one at at_us, not the one at instant 0: all of them move. */
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        const float off = pose[axis] - fk_profile_sum(profile.pose, track->mean[axis]);
+        const float difference = pose[axis] - fk_profile_sum(profile.pose, track->mean[axis]);
         for (uint32_t i = 0u; i < track->count; ++i) {
-            track->mean[axis][2u * i] += off;
+            track->mean[axis][2u * i] += difference;
         }
     }
     (void)fk_track_update(track, at_us, pose, 0);
 }
 
-/* How far off the table was in the period that ends tells how far off it may be in the next, and what limbs have lost. */
+/* Adapt the process noise and the estimate of wear by the prediction error of the period that ends. */
 static void learn(fk_track_t *track)
 {
     const uint32_t newest = track->count - 1u;
     fk_wear_period_t period;
     float square[3];
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        const float off = track->mean[axis][2u * newest] - track->predicted[axis];
-        period.missed[axis] = off;
-        square[axis] = off * off;
+        const float difference = track->mean[axis][2u * newest] - track->predicted[axis];
+        period.error[axis] = difference;
+        square[axis] = difference * difference;
     }
-    period.variance[0] = fk_covariance_told(&track->covariance[0], newest);
-    period.variance[1] = fk_covariance_told(&track->covariance[1], newest);
+    period.variance[0] = fk_covariance_informed(&track->covariance[0], newest);
+    period.variance[1] = fk_covariance_informed(&track->covariance[1], newest);
     if (period.variance[0] >= 0.0f && period.variance[1] >= 0.0f) {
         period.heading_rad = fk_wrap_angle(track->mean[2][2u * newest - 2u]);
         period.period_s = seconds(track->time_us[newest - 1u], track->time_us[newest]);
@@ -317,7 +319,7 @@ static void learn(fk_track_t *track)
     }
 }
 
-/* Put the newest instant to another time after the one before it. */
+/* Move the newest instant to another time after the one before it. */
 static void move_newest(fk_track_t *track, uint64_t at_us)
 {
     fk_profile_t profile;
@@ -334,8 +336,8 @@ static void move_newest(fk_track_t *track, uint64_t at_us)
     track->time_us[newest] = at_us;
 }
 
-/* The period under way was taken as one of rest before word of what begins at at_us could come. */
-static int32_t is_hasty(const fk_track_t *track, uint64_t at_us)
+/* Whether the current period was taken as rest only because the action that begins at at_us was not known yet. */
+static int32_t coasted_too_soon(const fk_track_t *track, uint64_t at_us)
 {
     const uint32_t latest = track->count - 2u;
     return track->coasted[latest] != 0u && at_us < track->time_us[latest] + FK_COAST_US;
@@ -343,7 +345,7 @@ static int32_t is_hasty(const fk_track_t *track, uint64_t at_us)
 
 const uint16_t *fk_track_limb_use(const fk_track_t *track, uint64_t at_us)
 {
-    return track->limb_use[is_hasty(track, at_us) ? track->count - 2u : track->count - 1u];
+    return track->limb_use[coasted_too_soon(track, at_us) ? track->count - 2u : track->count - 1u];
 }
 
 void fk_track_act(fk_track_t *track, uint64_t at_us, uint8_t action)
@@ -352,16 +354,16 @@ void fk_track_act(fk_track_t *track, uint64_t at_us, uint8_t action)
         begin_with(track, at_us, action, 0u);
         return;
     }
-    uint32_t latest = track->count - 2u; /* begins the period under way */
-    if (latest > 0u && is_hasty(track, at_us)) {
+    uint32_t latest = track->count - 2u; /* begins the current period */
+    if (latest > 0u && coasted_too_soon(track, at_us)) {
         --track->count;
         --latest;
-        track->teaches = 0u;
+        track->prediction_valid = 0u;
     }
     if (at_us < track->time_us[latest] + FK_PERIOD_LEAST_US) {
         --track->count;
     } else {
-        if (track->teaches != 0u && track->coasted[latest] == 0u) {
+        if (track->prediction_valid != 0u && track->coasted[latest] == 0u) {
             learn(track);
         }
         if (at_us != track->time_us[latest + 1u]) {

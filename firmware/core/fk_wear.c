@@ -2,31 +2,32 @@
 
 #include "fk_route.h"
 
-#define FK_WEAR_FADING 0.96f      /* what remains of older periods' weight at each new one: half of it after 17 */
-#define FK_WEAR_PENALTY 9.0f      /* what a limb or the current must explain to be believed: three standard deviations */
-#define FK_WEAR_SURPRISE 8.0f     /* a squared miss beyond this: a limb may have broken. What older periods tell of limbs */
-#define FK_WEAR_SURPRISED 0.3f    /* keeps this much of its weight; what they tell of the current keeps all of it */
-#define FK_WEAR_MISSED_MOST 1e6f  /* a squared miss beyond this, or no number, tells nothing of limbs */
-#define FK_WEAR_SECANT 22937u     /* lost share (0.7) up to which a wear curve counts as a straight line; beyond it, as
-                                     the line to its place */
-#define FK_WEAR_LEAST 0.02f       /* shares that are believed; above one a curve's end is meant */
+#define FK_WEAR_FADING 0.96f        /* forgetting factor of each period: an older one has half its weight after 17 */
+#define FK_WEAR_PENALTY 9.0f        /* what a limb or the current must explain to be selected: three standard deviations */
+#define FK_WEAR_OUTLIER 8.0f        /* beyond this squared error a limb may have broken, and what older periods say of limbs */
+#define FK_WEAR_OUTLIER_FADING 0.3f /* keeps this much of its weight; what they say of the current keeps all of it */
+#define FK_WEAR_ERROR_MOST 1e6f     /* a period of larger squared error, or of NaN, is not learned from */
+#define FK_WEAR_SECANT 22937u       /* a wear curve is replaced by its secant from 0 to this share (0.7), or to the
+                                       estimated one if that is larger */
+#define FK_WEAR_LEAST 0.02f         /* plausible shares; above 1 the end of the curve is meant */
 #define FK_WEAR_MOST 1.3f
-#define FK_WEAR_RESTARTED 18.0f   /* what a share explains of which nothing else is known any more: twice the penalty, so that
-                                     it fades within 16 periods that tell nothing of its limb */
-#define FK_WEAR_APART 1e-3f       /* part of an unknown's information that the others must leave for it to be told apart */
+#define FK_WEAR_RESTARTED 18.0f     /* what a share explains after a restart: twice the penalty, so that it is no longer
+                                       selected after 16 periods that say nothing of its limb */
+#define FK_WEAR_APART 1e-3f         /* share of an unknown's information that must be independent of the selected ones */
 
-/* What a period misses where all is known, of each axis: 1.2 mm, 1.2 mm, 0.02 rad. */
+/* Variance of a period's prediction error if wear and current are known, for each axis: (1.2 mm)^2, (1.2 mm)^2,
+ * (0.02 rad)^2. */
 static const float noise[3] = {1.44e-6f, 1.44e-6f, 4e-4f};
-/* What currents are expected: 1 / variance, of 3 mm/s, 3 mm/s, 0.005 rad/s. */
+/* Prior information on a current: 1 / variance, of 3 mm/s, 3 mm/s, 0.005 rad/s. */
 static const float current_information[3] = {111111.11f, 111111.11f, 40000.0f};
 static const uint8_t variance_of[3] = {0u, 0u, 1u};
 
-/* The normal equations of all unknowns, each row with its right-hand side last: as Gauss and Jordan eliminate an unknown,
- * its row becomes its value and what others change of it, and the other rows lose what it explains. */
+/* The normal equations of all unknowns, with the right-hand side as last column. Gauss-Jordan elimination of an
+ * unknown leaves its value in its own row, and takes what it explains out of the other rows. */
 typedef struct {
     float at[FK_WEAR_UNKNOWNS][FK_WEAR_UNKNOWNS + 1u];
     uint32_t unknowns;
-    uint32_t chosen; /* bit i: unknown i was eliminated */
+    uint32_t chosen; /* bit i: unknown i is selected, so eliminated */
 } fk_normal_t;
 
 void fk_wear_use(fk_wear_t *wear, fk_tables_t *tables)
@@ -85,7 +86,7 @@ void fk_wear_init(fk_wear_t *wear, fk_tables_t *tables, uint8_t learn)
     fk_wear_use(wear, tables);
 }
 
-/* What a limb that has lost a share changes of a motion. */
+/* How a limb that has lost a share changes a motion. */
 static void curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, float motion[3])
 {
     int32_t codes[6];
@@ -95,8 +96,8 @@ static void curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, float
     }
 }
 
-/* missed becomes what a robot with no worn limb and no current would have missed; row[axis][unknown]. */
-static void rows_of(const fk_wear_t *wear, const fk_tables_t *tables, const fk_wear_period_t *period, float missed[3],
+/* The error that tables of new limbs would have made, in the body frame, and its derivatives row[axis][unknown]. */
+static void regression(const fk_wear_t *wear, const fk_tables_t *tables, const fk_wear_period_t *period, float error[3],
                     float row[3][FK_WEAR_UNKNOWNS])
 {
     const uint8_t *masks = tables->action_rows + 4u * period->action;
@@ -104,9 +105,9 @@ static void rows_of(const fk_wear_t *wear, const fk_tables_t *tables, const fk_w
     float sine;
     float cosine;
     fk_sincos(period->heading_rad, &sine, &cosine);
-    missed[0] = cosine * period->missed[0] + sine * period->missed[1];
-    missed[1] = cosine * period->missed[1] - sine * period->missed[0];
-    missed[2] = period->missed[2];
+    error[0] = cosine * period->error[0] + sine * period->error[1];
+    error[1] = cosine * period->error[1] - sine * period->error[0];
+    error[2] = period->error[2];
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
         for (uint32_t i = 0u; i < FK_WEAR_UNKNOWNS; ++i) {
             row[axis][i] = 0.0f;
@@ -124,7 +125,7 @@ static void rows_of(const fk_wear_t *wear, const fk_tables_t *tables, const fk_w
             float changes[3];
             curve(tables, limb, lost, changes);
             for (uint32_t axis = 0u; axis < 3u; ++axis) {
-                missed[axis] += changes[axis];
+                error[axis] += changes[axis];
             }
             curve(tables, limb, to, changes);
             for (uint32_t axis = 0u; axis < 3u; ++axis) {
@@ -152,10 +153,10 @@ static void eliminate(fk_normal_t *normal, uint32_t pivot)
     normal->chosen |= 1u << pivot;
 }
 
-static int32_t is_believable(float share) { return share > FK_WEAR_LEAST && share < FK_WEAR_MOST; }
+static int32_t is_plausible(float share) { return share > FK_WEAR_LEAST && share < FK_WEAR_MOST; }
 
-/* Whether the limbs that are chosen keep shares to believe where the unknowns `first` and on take these values. */
-static int32_t are_believable(const fk_normal_t *normal, uint32_t first, uint32_t count, const float *values)
+/* Whether the selected limbs keep plausible shares if the unknowns from `first` on take these values. */
+static int32_t are_plausible(const fk_normal_t *normal, uint32_t first, uint32_t count, const float *values)
 {
     for (uint32_t i = 3u; i < normal->unknowns; ++i) {
         if (((normal->chosen >> i) & 1u) != 0u) {
@@ -163,7 +164,7 @@ static int32_t are_believable(const fk_normal_t *normal, uint32_t first, uint32_
             for (uint32_t k = 0u; k < count; ++k) {
                 share = share - normal->at[i][first + k] * values[k];
             }
-            if (!is_believable(share)) {
+            if (!is_plausible(share)) {
                 return 0;
             }
         }
@@ -171,21 +172,23 @@ static int32_t are_believable(const fk_normal_t *normal, uint32_t first, uint32_
     return 1;
 }
 
-/* What a limb explains of what the chosen ones leave; -1: it is not to be believed. */
+/* What a limb explains of the residual of the selected unknowns; -1 if the data cannot separate it from them, or
+ * if a share would be implausible. */
 static float gain_of_limb(const fk_normal_t *normal, uint32_t at, float information)
 {
     const float left = normal->at[at][at];
-    if (!(left > FK_WEAR_APART * information)) { /* it did not fire, or only ever with the others */
+    if (!(left > FK_WEAR_APART * information)) { /* it has not fired, or always with the others */
         return -1.0f;
     }
     const float share = normal->at[at][normal->unknowns] / left;
-    if (!is_believable(share) || !are_believable(normal, at, 1u, &share)) {
+    if (!is_plausible(share) || !are_plausible(normal, at, 1u, &share)) {
         return -1.0f;
     }
     return normal->at[at][normal->unknowns] * share;
 }
 
-/* The same of the current. Its information begins with what is expected of currents, so each pivot is positive. */
+/* The same for the current, by Gaussian elimination of its three unknowns. Its prior information keeps each pivot
+ * positive. */
 static float gain_of_current(const fk_normal_t *normal)
 {
     float at[3][4];
@@ -207,15 +210,16 @@ static float gain_of_current(const fk_normal_t *normal)
     value[2] = at[2][3] / at[2][2];
     value[1] = (at[1][3] - at[1][2] * value[2]) / at[1][1];
     value[0] = ((at[0][3] - at[0][1] * value[1]) - at[0][2] * value[2]) / at[0][0];
-    if (!are_believable(normal, 0u, 3u, value)) {
+    if (!are_plausible(normal, 0u, 3u, value)) {
         return -1.0f;
     }
     return (normal->at[0][normal->unknowns] * value[0] + normal->at[1][normal->unknowns] * value[1]) +
            normal->at[2][normal->unknowns] * value[2];
 }
 
-/* Believe the limb, or the current, that explains most; then the next, as long as one explains enough. */
-static void choose(const fk_wear_t *wear, fk_normal_t *normal)
+/* Forward selection: the limb, or the current, that explains most, then the next one, as long as one exceeds the
+ * penalty. */
+static void select_unknowns(const fk_wear_t *wear, fk_normal_t *normal)
 {
     const uint32_t nothing = normal->unknowns;
     uint32_t best;
@@ -248,8 +252,8 @@ static void choose(const fk_wear_t *wear, fk_normal_t *normal)
     } while (best != nothing);
 }
 
-/* What all periods together say of the limbs and the current. */
-static void believe(fk_wear_t *wear, const fk_tables_t *tables)
+/* Estimate shares and current from the sums over all periods. */
+static void estimate(fk_wear_t *wear, const fk_tables_t *tables)
 {
     fk_normal_t normal;
     uint32_t next = 0u;
@@ -266,7 +270,7 @@ static void believe(fk_wear_t *wear, const fk_tables_t *tables)
     for (uint32_t i = 0u; i < 3u; ++i) {
         normal.at[i][i] += current_information[i];
     }
-    choose(wear, &normal);
+    select_unknowns(wear, &normal);
     for (uint32_t i = 0u; i < 3u; ++i) {
         wear->current[i] = ((normal.chosen & 1u) != 0u) ? normal.at[i][normal.unknowns] : 0.0f;
     }
@@ -280,8 +284,8 @@ static void believe(fk_wear_t *wear, const fk_tables_t *tables)
     }
 }
 
-/* What limbs explain, as worn as they are believed to be, of what periods told of a number of the current. */
-static float of_limbs(const fk_wear_t *wear, const fk_tables_t *tables, uint32_t current)
+/* The part of the current's right-hand side that the limbs explain, with the shares as estimated. */
+static float explained_by_limbs(const fk_wear_t *wear, const fk_tables_t *tables, uint32_t current)
 {
     float sum = 0.0f;
     for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
@@ -293,7 +297,7 @@ static float of_limbs(const fk_wear_t *wear, const fk_tables_t *tables, uint32_t
 
 void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t *period)
 {
-    float missed[3];
+    float error[3];
     float weight[3];
     float row[3][FK_WEAR_UNKNOWNS];
     float square = 0.0f;
@@ -302,9 +306,9 @@ void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t 
     if (wear->learn != FK_LEARN_ON || period->action >= tables->actions) {
         return;
     }
-    rows_of(wear, tables, period, missed, row);
+    regression(wear, tables, period, error, row);
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        float left = missed[axis];
+        float left = error[axis];
         for (uint32_t i = 0u; i < unknowns; ++i) {
             const float value = (i < 3u) ? wear->current[i] : lost_share(wear->lost[i - 3u]);
             left = left - row[axis][i] * value;
@@ -312,13 +316,13 @@ void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t 
         weight[axis] = 1.0f / (noise[axis] + period->variance[variance_of[axis]]);
         square = square + weight[axis] * (left * left);
     }
-    if (!(square <= FK_WEAR_MISSED_MOST)) { /* also of what is no number */
+    if (!(square <= FK_WEAR_ERROR_MOST)) { /* also NaN */
         return;
     }
-    const float kept = (square > FK_WEAR_SURPRISE) ? FK_WEAR_FADING * FK_WEAR_SURPRISED : FK_WEAR_FADING;
+    const float kept = (square > FK_WEAR_OUTLIER) ? FK_WEAR_FADING * FK_WEAR_OUTLIER_FADING : FK_WEAR_FADING;
     for (uint32_t i = 0u; i < unknowns; ++i) {
-        const float fading = (i < 3u) ? FK_WEAR_FADING : kept; /* the current does not change as suddenly as a limb */
-        const float dropped = (i < 3u) ? (FK_WEAR_FADING - kept) * of_limbs(wear, tables, i) : 0.0f;
+        const float fading = (i < 3u) ? FK_WEAR_FADING : kept; /* a current does not change as suddenly as a limb breaks */
+        const float dropped = (i < 3u) ? (FK_WEAR_FADING - kept) * explained_by_limbs(wear, tables, i) : 0.0f;
         const float faded = fading * wear->vector[i] - dropped;
         const float a = weight[0] * row[0][i];
         const float b = weight[1] * row[1][i];
@@ -328,8 +332,8 @@ void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t 
                 fading * wear->information[next] + ((a * row[0][j] + b * row[1][j]) + c * row[2][j]);
             ++next;
         }
-        wear->vector[i] = faded + ((a * missed[0] + b * missed[1]) + c * missed[2]);
+        wear->vector[i] = faded + ((a * error[0] + b * error[1]) + c * error[2]);
     }
-    believe(wear, tables);
+    estimate(wear, tables);
     fk_wear_use(wear, tables);
 }

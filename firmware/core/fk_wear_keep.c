@@ -2,7 +2,7 @@
 
 #include "fk_frames_layout.h"
 
-/* Each word at its turn: the compiler puts no store before another one. */
+/* volatile, so that the compiler keeps the order of the stores. */
 static void put(volatile uint32_t *word, uint32_t value) { *word = value; }
 
 static uint32_t crc_of(const fk_wear_persistent_t *persistent, uint32_t learn)
@@ -33,7 +33,7 @@ void fk_wear_keep(const fk_wear_t *wear, const fk_tables_t *tables, fk_wear_pers
     if (is_kept(wear, tables, persistent)) {
         return;
     }
-    put(&persistent->learn, FK_LEARN_OFF); /* until all else stands there, nothing is kept */
+    put(&persistent->learn, FK_LEARN_OFF); /* nothing is kept until all other words are written */
     put(&persistent->table_crc32, tables->image_crc32);
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
         put(&persistent->lost[limb], wear->lost[limb]);

@@ -1,8 +1,8 @@
-/* What a reset must not wipe out of what was learned of the limbs, in RAM that the start-up leaves alone.
+/* The part of the wear estimate that survives a reset, in RAM that the start-up code does not clear.
  *
- * Kept are the shares alone, as STATUS tells them. After a reset nobody knows how long ago they were learned, so that each
- * starts again as uncertain as fk_wear_restart() makes it, and without a current. They belong to one table, and are
- * forgotten with it. After a time without supply that RAM holds something else, which the CRC-32 tells.
+ * Only the limbs' shares are kept, as STATUS reports them. After a reset nobody knows how long ago they were learned,
+ * so each starts again as uncertain as fk_wear_restart() makes it, and without a current. They belong to one table,
+ * and are dropped with it. After a loss of supply that RAM holds something else, which the CRC-32 shows.
  */
 #ifndef FK_WEAR_KEEP_H
 #define FK_WEAR_KEEP_H
@@ -18,13 +18,13 @@ typedef struct {
     uint32_t crc;                /* over all above */
 } fk_wear_persistent_t;
 
-/* Keep what is known now, where something else is kept. A reset at any word of it leaves what was kept before, or nothing, or
- * what is kept now. */
+/* Write the present shares, unless they are there already. A reset between any two words of it leaves the old
+ * shares, the new ones or none. */
 void fk_wear_keep(const fk_wear_t *wear, const fk_tables_t *tables, fk_wear_persistent_t *persistent);
 
-/* After fk_wear_init with these tables: go on from what was kept.
+/* After fk_wear_init() with these tables: continue from the persistent shares.
  * @retval 1  done
- * @retval 0  what was kept is damaged, lost or of another table: nothing is changed
+ * @retval 0  they are damaged, lost or of another table: nothing is changed
  */
 int32_t fk_wear_resume(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_persistent_t *persistent);
 

@@ -65,40 +65,42 @@ MUTATIONS = {
     "stroke's end": ("fk_profile.c", "x <= fire", "x < 0.9f * fire"),
     "glide": ("fk_profile.c", "#define FK_GLIDE_PART 0.41666667f", "#define FK_GLIDE_PART 0.41666670f"),
     "most that limbs fire": ("fk_profile.c", "FK_FIRE_MOST 0.5f", "FK_FIRE_MOST 0.51f"),
-    "kick apart": ("fk_covariance.c", "FK_NOISE_APART 0.2f", "FK_NOISE_APART 0.21f"),
-    "resting kick": ("fk_covariance.c", "(resting != 0) ?", "(resting == 0) ?"),
+    "independent process noise": ("fk_covariance.c", "FK_NOISE_APART 0.2f", "FK_NOISE_APART 0.21f"),
+    "process noise at rest": ("fk_covariance.c", "(resting != 0) ?", "(resting == 0) ?"),
     "common shape": ("fk_covariance.c", "FK_SHAPE_COMMON 0.3f", "FK_SHAPE_COMMON 0.31f"),
-    "giving up": ("fk_estimator.h", "FK_FIX_UNKNOWN_US 10000000u", "FK_FIX_UNKNOWN_US 9999999u"),
-    "what a period must tell": ("fk_covariance.c", "FK_INFORMED 0.5f", "FK_INFORMED 0.9f"),
-    "most that it can say": ("fk_covariance.c", "FK_WORD_MOST 9.0f", "FK_WORD_MOST 8.0f"),
-    "least kick": ("fk_covariance.c", "9e-8f, 3.6e-3f", "9e-6f, 3.6e-3f"),
-    "doubt": ("fk_covariance.c", "FK_NOISE_INFLATION 4.0f", "FK_NOISE_INFLATION 3.0f"),
+    "an unknown pose": ("fk_estimator.h", "FK_FIX_UNKNOWN_US 10000000u", "FK_FIX_UNKNOWN_US 9999999u"),
+    "what a period must reduce": ("fk_covariance.c", "FK_INFORMED 0.5f", "FK_INFORMED 0.9f"),
+    "the largest ratio": ("fk_covariance.c", "FK_RATIO_MOST 9.0f", "FK_RATIO_MOST 8.0f"),
+    "least process noise": ("fk_covariance.c", "9e-8f, 3.6e-3f", "9e-6f, 3.6e-3f"),
+    "inflation": ("fk_covariance.c", "FK_NOISE_INFLATION 4.0f", "FK_NOISE_INFLATION 3.0f"),
     "gate": ("fk_covariance.c", "FK_GATE 25.0f", "FK_GATE 24.0f"),
-    "part learned": ("fk_track.c", "0.25f, 0.2f}", "0.25f, 0.25f}"),
+    "weight of a period": ("fk_track.c", "0.25f, 0.2f}", "0.25f, 0.25f}"),
     "coasting": ("fk_track.h", "FK_COAST_US 200000u", "FK_COAST_US 199999u"),
     "shortest period": ("fk_track.h", "FK_PERIOD_LEAST_US 50000u", "FK_PERIOD_LEAST_US 50001u"),
     "coasts": ("fk_track.h", "FK_TRACK_COASTS_MAX 8u", "FK_TRACK_COASTS_MAX 7u"),
-    "period under way": ("fk_track.c", "from > 0u && at_us < track->time_us[from]",
+    "current period": ("fk_track.c", "from > 0u && at_us < track->time_us[from]",
                          "from > 0u && at_us <= track->time_us[from]"),
-    "learning from what was not known": ("fk_track.c", "track->teaches != 0u && track", "track"),
+    "learning from an unknown state": ("fk_track.c", "track->prediction_valid != 0u && track", "track"),
     "fading": ("fk_wear.c", "FK_WEAR_FADING 0.96f", "FK_WEAR_FADING 0.961f"),
     "penalty": ("fk_wear.c", "FK_WEAR_PENALTY 9.0f", "FK_WEAR_PENALTY 8.0f"),
-    "surprise": ("fk_wear.c", "FK_WEAR_SURPRISE 8.0f", "FK_WEAR_SURPRISE 10.0f"),
+    "outlier": ("fk_wear.c", "FK_WEAR_OUTLIER 8.0f", "FK_WEAR_OUTLIER 10.0f"),
     "a current that fades as limbs do": ("fk_wear.c", "(i < 3u) ? FK_WEAR_FADING : kept;", "kept;"),
-    "what limbs explain": ("fk_wear.c", "(FK_WEAR_FADING - kept) * of_limbs(", "0.0f * of_limbs("),
+    "what limbs explain": (
+        "fk_wear.c", "(FK_WEAR_FADING - kept) * explained_by_limbs(", "0.0f * explained_by_limbs(",
+    ),
     "secant": ("fk_wear.c", "FK_WEAR_SECANT 22937u", "FK_WEAR_SECANT 22938u"),
     "least share": ("fk_wear.c", "FK_WEAR_LEAST 0.02f", "FK_WEAR_LEAST 0.2f"),
     "largest share": ("fk_wear.c", "FK_WEAR_MOST 1.3f", "FK_WEAR_MOST 1.2f"),
-    "limbs told apart": ("fk_wear.c", "FK_WEAR_APART 1e-3f", "FK_WEAR_APART 0.5f"),
-    "limbs that others make unbelievable": ("fk_wear.c", "|| !are_believable(normal, at, 1u, &share)", ""),
-    "a current that makes limbs unbelievable": ("fk_wear.c", "!are_believable(normal, 0u, 3u, value)", "0"),
+    "limbs that cannot be separated": ("fk_wear.c", "FK_WEAR_APART 1e-3f", "FK_WEAR_APART 0.5f"),
+    "limbs that others make implausible": ("fk_wear.c", "|| !are_plausible(normal, at, 1u, &share)", ""),
+    "a current that makes limbs implausible": ("fk_wear.c", "!are_plausible(normal, 0u, 3u, value)", "0"),
     "the better of two limbs": ("fk_wear.c", "if (gain > most) {", "if (gain > FK_WEAR_PENALTY) {"),
     "a current first": ("fk_wear.c", "(normal->chosen & 1u) == 0u", "normal->chosen == 0u"),
     "the rest of a current": ("fk_wear.c", "eliminate(normal, 2u);", ""),
     "limbs held": ("fk_wear.c", "wear->learn != FK_LEARN_ON ||", "wear->learn == FK_LEARN_OFF ||"),
-    "what a period tells of limbs": ("fk_covariance.c", "left <= (1.0f -", "left <= (0.9f -"),
+    "what a period must reduce to learn of limbs": ("fk_covariance.c", "left <= (1.0f -", "left <= (0.9f -"),
     "turns": ("fk_track.c", "[2u * i] -= turns_rad;", "[2u * i] -= 0.5f * turns_rad;"),
-    "doubled fixes": ("fk_estimator.c", "estimator->marks[i] == mark", "estimator->marks[i] == mark + 1u"),
+    "duplicate fixes": ("fk_estimator.c", "estimator->marks[i] == mark", "estimator->marks[i] == mark + 1u"),
     "marks": ("fk_estimator.h", "FK_FIX_MARKS 64u", "FK_FIX_MARKS 8u"),
     "fixes that agree": ("fk_estimator.h", "FK_OUTLIERS_AGREE_M 0.02f", "FK_OUTLIERS_AGREE_M 0.05f"),
     "the earliest first": ("fk_estimator.c", "outliers[i].capture_us < estimator->outliers[first]",
@@ -127,7 +129,7 @@ def expected(seed: int) -> list[object]:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 30.0])
-def test_what_is_no_place_teaches_nothing_of_limbs(value: float) -> None:
+def test_a_period_whose_end_is_nowhere_is_not_learned_from(value: float) -> None:
     """The pose at a period's end is no number, or metres from where it can be."""
     given = swim(3, 4, kick=0.0, name="worn")
     ours, theirs = CEstimator("worn"), Twin("worn")
@@ -144,7 +146,7 @@ def test_what_is_no_place_teaches_nothing_of_limbs(value: float) -> None:
     assert ours.inside() == theirs.inside()
 
 
-def test_a_period_for_which_the_table_has_no_row_teaches_nothing_of_limbs() -> None:
+def test_a_period_for_which_the_table_has_no_row_is_not_learned_from() -> None:
     given = swim(3, 6, kick=1.0, name="worn")
     given.actions[:] = [len(ACTION_ROWS)] * len(given.actions)
     ours, theirs = CEstimator("worn"), Twin("worn")

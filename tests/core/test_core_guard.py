@@ -1,4 +1,4 @@
-"""The guard: wishes dense at its limits, judged by a slow reference and by the independent monitor."""
+"""The guard: requests dense at its limits, judged by a slow reference and by the independent monitor."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Guard:
         self.known = bool(self._core.fk_guard_resume(self._memory, kept_of() if kept is None else kept))
 
     def allow(self, mask: int, pulse_us: int, now_us: int) -> bool:
-        return self.told(mask, pulse_us, now_us) > 0
+        return self.answer(mask, pulse_us, now_us) > 0
 
-    def told(self, mask: int, pulse_us: int, now_us: int) -> int:
+    def answer(self, mask: int, pulse_us: int, now_us: int) -> int:
         return int(self._core.fk_guard_allow(self._memory, mask, pulse_us, now_us))
 
     def not_begun(self, mask: int) -> None:
@@ -65,7 +65,7 @@ class Guard:
 
 @dataclass
 class Heat:
-    """One pulse in the books: from, to, and when its pin is low for certain."""
+    """One pulse in the history: from, to, and when its pin is low for certain."""
 
     start: int
     end: int
@@ -84,8 +84,8 @@ class Reference:
     def allow(self, mask: int, pulse_us: int, now_us: int) -> bool:
         if not mask or not 0 < pulse_us <= PULSE_MAX_US:
             return False
-        if self.closed and now_us + LATE_US - self.fix_us > FRESH_US:
-            return False
+        if self.closed and (not self.fix_us or now_us + LATE_US - self.fix_us > FRESH_US):
+            return False  # 0: there was no fix
         end_us = now_us + pulse_us
         on = 0
         for limb, mine in enumerate(self.pulses):
@@ -314,6 +314,19 @@ def test_a_closed_loop_needs_a_fresh_fix() -> None:
     assert guard.allow(2, 80_000, 10**7)
 
 
+def test_a_closed_loop_without_any_fix_fires_nothing_soon_after_the_start_either() -> None:
+    """The clock starts at 0, when no fix was captured; limbs rest for less time than a fix is fresh."""
+    files = mutated("fk_robot_config.h", "FK_REST_MIN_US 500000u", "FK_REST_MIN_US 100000u")
+    limits = files["fk_robot_config.h"].decode()
+    assert limits.count("FK_DUTY_WINDOW_US 5000000u") == 1
+    files["fk_robot_config.h"] = limits.replace("_WINDOW_US 5000000u", "_WINDOW_US 600000u").encode()
+    guard = Guard(library(files))
+    guard.closed_loop(True)
+    assert not guard.allow(1, 80_000, 100_000)
+    guard.closed_loop(False)
+    assert guard.allow(1, 80_000, 100_000)
+
+
 def test_when_a_fix_is_lost() -> None:
     made = core()
     memory = FFI.new("fk_guard_t *")
@@ -360,7 +373,7 @@ def test_a_cut_when_nothing_is_on_changes_nothing() -> None:
     assert guard.allow(1, 80_000, 3_000_000)
 
 
-def test_a_cut_between_a_pulse_and_the_end_of_a_late_one_ends_it_in_the_books() -> None:
+def test_a_cut_between_a_pulse_and_the_end_of_a_late_one_ends_it_in_the_history() -> None:
     """Its pin may have been on until then; and a cut long after it is none."""
     guard = Guard()
     assert guard.allow(0b0011, 100_000, 1_000_000)

@@ -357,8 +357,8 @@ DECIDES_OTHERWISE = {
         "fk_robot.c", "event->cost = plan.cost;", "event->cost = plan.cost * 1.0001f;", "core twin",
     ),
     "a shorter rest": ("fk_robot_config.h", "FK_REST_MIN_US 500000u", "FK_REST_MIN_US 1500000u", "core"),
-    "no word of a pulse": (
-        "fk_robot.c", "        fk_robot_log_pulse(robot, limb_mask, FK_PULSE_TOLD);\n", "", "core",
+    "a pulse that is not logged": (
+        "fk_robot.c", "        fk_robot_log_pulse(robot, limb_mask, FK_PULSE_ASKED);\n", "", "core",
     ),
 }  # fmt: skip
 

@@ -305,8 +305,9 @@ MUTATIONS = {
         "    robot->coming.count = 0u;\n",
     ),
     "a snapshot without it": (
-        "fk_snapshot.c", "    path(walk, &robot->coming, &robot->coming_points, &robot->coming_total);\n",
-        "    uint8_t none[2] = {0u, 0u};\n    path(walk, &robot->coming, &none[0], &none[1]);\n",
+        "fk_snapshot.c",
+        "    walk_path(walk, &robot->coming, &robot->coming_points, &robot->coming_total);\n",
+        "    uint8_t none[2] = {0u, 0u};\n    walk_path(walk, &robot->coming, &none[0], &none[1]);\n",
     ),
     "the last of the near stretches": (
         "fk_follow.c", "            if (best2_m2 < FAR2_M2) {\n                break;\n            }\n", "",

@@ -344,3 +344,17 @@ def test_two_seconds_without_a_fix_to_the_microsecond(age_us: int, state: str) -
     out = robot.tick(robot.now_us + age_us)
     assert robot.state() == state
     assert out.all_off == (state == "DISARMED") and out.limb_mask == 0
+
+
+def test_a_tick_that_switches_limbs_off_does_not_decide_first() -> None:
+    """A decision may take half a second; the guard allows for 200 us until the pins are low."""
+    robot = Robot().begin("ARMED")
+    robot.path()
+    assert robot.fix() == robot.stroke("A") == "OK"
+    assert robot.tick().limb_mask == 0b0011
+    assert robot.status("DISARM") == robot.status("ARM") == robot.start() == "OK"
+    out = robot.tick()
+    assert out.all_off and out.next_tick_us <= robot.now_us
+    assert robot.ask("STATUS")["decisions"] == 0
+    assert not robot.tick().all_off
+    assert robot.ask("STATUS")["decisions"] == 1

@@ -103,7 +103,7 @@ CODE = {
     "any limbs together": (
         "fk_guard.c", "limbs_on > FK_LIMBS_AT_ONCE_MAX", "limbs_on > 99u", "together",
     ),
-    "no fresh fix": ("fk_guard.c", "guard->closed_loop != 0u && now_us", "0 && now_us", "fresh"),
+    "no fresh fix": ("fk_guard.c", "guard->closed_loop != 0u && (", "0 && (", "fresh"),
     "no fresh fix for a late port": (
         "fk_guard.c", "now_us + FK_PORT_LATE_US > guard->fix_us", "now_us > guard->fix_us", "fresh",
     ),

@@ -252,6 +252,22 @@ def test_a_pulse_that_leans_on_the_core_is_found_out(
         stalled(chip, what, 2_000)
 
 
+def test_no_gate_goes_high_after_a_fault(tmp_path: Path) -> None:
+    """Even if the processor faults after it enabled a pulse's start, and before the pulse begins."""
+    text, wait = (BENCH / "pulse.c").read_text(encoding="utf-8"), "    while (fk_time_now_us() < begin_us"
+    assert text.count(wait) == 1
+    text = text.replace(wait, "    extern void fk_fault(void);\n    fk_fault();\n" + wait)
+    (tmp_path / "pulse.c").write_text(text, encoding="utf-8")
+    others = [BENCH / name for name in DRIVERS if name != "pulse.c"]
+    sources = [Path(__file__).with_name("driver_echo.c"), tmp_path / "pulse.c", *others]
+    chip = VirtualChip(build(sources, tmp_path / "echo.elf", drivers=False))
+    chip.run_until(BOOT_US)
+    chip.pin_edges()
+    chip.send(pulse_command(1, 0b0110, 1_000), chip.time_us)
+    chip.run_until(chip.time_us + 5_000)
+    assert chip.pin_edges() == []
+
+
 def test_a_second_pulse_while_one_is_on_is_refused(chip: VirtualChip) -> None:
     assert signed(talk(chip, pulse_command(1, 0b0001, 80_000))) == 0
     assert signed(talk(chip, pulse_command(1, 0b0010, 80_000))) == -2

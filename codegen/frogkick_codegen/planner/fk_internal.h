@@ -1,4 +1,4 @@
-/* fk_internal.h - what the planner's files share and nobody else needs. */
+/* fk_internal.h - shared by the planner's own files. */
 #ifndef FK_INTERNAL_H
 #define FK_INTERNAL_H
 
@@ -29,15 +29,15 @@
 #define FK_SQRT(value) sqrtf(value)
 #endif
 
-/* A condition that seldom holds, for the compiler's layout: the way that is taken often then has no jump in it. */
+/* A condition that seldom holds. The compiler then lays out the other branch without a jump. */
 #if defined(__GNUC__)
 #define FK_SELDOM(condition) __builtin_expect((condition) ? 1 : 0, 0)
 #else
 #define FK_SELDOM(condition) (condition)
 #endif
 
-/* A function that becomes part of each of its callers, and a loop that stays one: on the chip a call costs more than the
- * copy, and what is written out three times leaves no room in the instruction cache. */
+/* A function that is inlined into each caller, because on the chip a call costs more than the copy; and a loop
+ * that is not unrolled, because three copies of its body would leave no room in the instruction cache. */
 #if defined(__GNUC__)
 #define FK_INLINE static inline __attribute__((always_inline))
 #define FK_ROLLED _Pragma("GCC unroll 1")
@@ -46,8 +46,9 @@
 #define FK_ROLLED
 #endif
 
-/* On the chip the search's place in the instruction cache (two ways of 1 KB) is the same whatever is linked before:
- * its largest function and the look-up that it calls would else evict each other in some builds, and take 5 %. */
+/* Alignment fixes the search's position in the chip's instruction cache (two ways of 1 KB), whatever is linked
+ * before it. Otherwise its largest function and the look-up that it calls evict each other in some builds, which
+ * then are 5 % slower. */
 #if defined(__GNUC__) && defined(__thumb__)
 #define FK_CACHE_ALIGNED __attribute__((aligned(1024)))
 #else
@@ -121,7 +122,7 @@ static inline float fk_read_f32(const uint8_t *bytes)
     return fk_float_of_bits(fk_read_u32(bytes));
 }
 
-/* The lower and the upper one of two 16-bit numbers in one word. */
+/* The lower and the upper of two 16-bit numbers in one word. */
 static inline int32_t fk_low(uint32_t two)
 {
     return (int16_t)(uint16_t)two;
@@ -160,7 +161,7 @@ static inline uint32_t fk_add_halves(uint32_t two, uint32_t by)
 /* Bytes of a column of kind affine: history of four limbs, or of eight. lookup.c */
 #define FK_AFFINE_COLUMN_BYTES(limbs) (((limbs) > 4U) ? 24U : 16U)
 
-/* Check a whole image, the first thing that is wrong first. tables_check.c
+/* Check a whole image; the first error found is returned. tables_check.c
  * @retval FK_OK, FK_ERROR_IMAGE_... */
 int32_t fk_image_check(const uint8_t *image, uint32_t size);
 

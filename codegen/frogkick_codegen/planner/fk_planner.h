@@ -35,9 +35,9 @@ typedef struct {
     float vx_mps;      /* forward; any finite value; beyond the table's states it counts as at their edge */
     float vy_mps;      /* left; clamped likewise */
     float omega_rad_s; /* counter-clockwise; clamped likewise */
-    uint16_t limb_use[FK_LIMBS_MAX]; /* how much each limb was used lately, 0 (rested) to FK_LIMB_USE_MAX */
-    float along_points; /* where along the path it was last, in points: 0 (at the start) to count - 1. Looked at
-                         * by FK_COST_ROUTE, which goes on from there; fk_plan_t has the next one */
+    uint16_t limb_use[FK_LIMBS_MAX]; /* recent use of each limb, 0 (rested) to FK_LIMB_USE_MAX */
+    float along_points; /* position along the path at the last decision, in points: 0 (at the start) to count - 1.
+                         * FK_COST_ROUTE projects the state near there; fk_plan_t has the value for the next one */
 } fk_state_t;
 
 /* The path to follow, world frame. Points in the order of progress; equal points are allowed. */
@@ -49,10 +49,10 @@ typedef struct {
 } fk_path_t;
 
 /* costs: made by python -m frogkick_codegen.frames */
-/* How a motion is judged. Numbers travel on the link. */
+/* The cost of a motion. The numbers are part of the link's protocol. */
 typedef enum {
     FK_COST_PAPER = 0, /* the paper's Eq. 19, as its authors ran it */
-    FK_COST_ROUTE = 1, /* progress along the path as stage cost, course as terminal cost: route.c */
+    FK_COST_ROUTE = 1, /* distance and progress as stage cost, course as terminal cost: route.c */
     FK_COST_LAST = 1 /* the highest number */
 } fk_cost_t;
 
@@ -79,26 +79,27 @@ typedef enum {
 /* What to plan for. Weights of the other cost are only checked. */
 typedef struct {
     float distance_weight_per_m; /* x distance to the nearest path point (paper: 500), or to the path (route) */
-    float angle_weight_per_rad;  /* x angle between heading and path: its tangent there (paper: 50); route: the
-                                  * direction to its place look_ahead_m further on, at a branch's end only */
+    float angle_weight_per_rad;  /* x angle between heading and path: its tangent there (paper: 50); route: between
+                                  * course and target point look_ahead_m further on, at a branch's end only */
     float progress_weight;       /* paper: x (1 - index / (count - 1)); paper: 300 */
     float level_weight;          /* paper: a level's cost x (1 + level_weight * levels below it); paper: 0.3 */
     float progress_weight_per_m; /* route: x how much less a motion advances than the table's longest stroke */
-    float look_ahead_m;          /* route: how far along the path a branch's end points */
-    float soft_distance_m;       /* route: below it, distance counts by its square */
-    float turn_lead;             /* route: x the last turn, by which the robot turns on */
+    float look_ahead_m;          /* route: how far along the path the course's target point lies */
+    float soft_distance_m;       /* route: threshold of the Huber loss, below which distance counts by its square */
+    float turn_lead;             /* route: x the last turn, by which the robot turns further */
     float course_weight_per_m;   /* route: x the last motion; with the heading it is the course of a branch's end */
-    float glide_weight_per_m;    /* route: x distance from the path to which a branch's end glides */
-    float glide_lead;            /* route: x the last motion, turned on, by which a branch's end glides on */
-    float wall_weight_per_m;     /* route: x how far a branch's end, and where it glides to, lie beyond the walls */
-    float wall_glide;            /* route: x the last motion, by which the robot glides on */
-    float wall_x_min_m;          /* route: where its middle may be, world */
+    float glide_weight_per_m;    /* route: x distance from the path of the point to which a branch's end glides */
+    float glide_lead;            /* route: x the last motion, turned further, by which a branch's end glides */
+    float wall_weight_per_m;     /* route: x how far a branch's end, and the point to which it glides, lie beyond the
+                                  * walls */
+    float wall_glide;            /* route: x the last motion, by which the robot glides towards a wall */
+    float wall_x_min_m;          /* route: where its centre may be, world */
     float wall_x_max_m;          /* likewise */
     float wall_y_min_m;          /* likewise */
     float wall_y_max_m;          /* likewise */
 /* costs end */
-    uint32_t transitions_max;    /* transitions to evaluate before the search answers, 0 = as many as it takes;
-                                  * the first level is always finished */
+    uint32_t transitions_max;    /* transitions after which the search ends, 0 = no limit; the first level is
+                                  * always finished */
     uint8_t cost;                /* fk_cost_t */
     uint8_t depth;               /* levels to look ahead, 1 to FK_DEPTH_MAX; paper: 1 on the robot */
 } fk_plan_config_t;
@@ -106,13 +107,13 @@ typedef struct {
 /* A decision. */
 typedef struct {
     uint8_t action;         /* index into the table's actions: first action of the branch of least cost */
-    uint8_t depth_reached;  /* levels that were finished: less than asked for where transitions_max cut it */
+    uint8_t depth_reached;  /* levels that were finished: fewer than depth where transitions_max ended the search */
     uint16_t nearest_state; /* row of the table nearest to the state's velocity */
-    uint16_t path_index;    /* path point nearest to the state (paper), last one that it has reached (route) */
+    uint16_t path_index;    /* path point nearest to the state (paper), or last one that it has passed (route) */
     uint32_t transitions;   /* transitions evaluated, of all levels */
     float cost;             /* sum over the branch, >= 0 */
     float distance_m;       /* of the state from that point (paper), or from the path (route) */
-    float along_points;     /* where along the path the state is: goes into the next state */
+    float along_points;     /* position of the state along the path, in points: copy it to the next state */
     fk_state_t predicted;   /* after the FIRST action: heading wrapped, velocity as the table holds it */
 } fk_plan_t;
 
@@ -127,7 +128,7 @@ typedef struct {
 int32_t fk_plan(const fk_tables_t *tables, const fk_path_t *path, const fk_plan_config_t *config,
                 const fk_state_t *state, fk_plan_t *plan);
 
-/* Check a path as fk_plan() does, for whoever receives one.
+/* Check a path as fk_plan() does.
  * @retval FK_OK
  * @retval FK_ERROR_NULL, FK_ERROR_PATH_COUNT, FK_ERROR_PATH_POINT */
 int32_t fk_path_check(const fk_path_t *path);
@@ -136,9 +137,10 @@ int32_t fk_path_check(const fk_path_t *path);
  * *distance2_m2 (may be null): squared distance, m^2. Returns the index, below path->count. */
 uint16_t fk_path_nearest(const fk_path_t *path, float x_m, float y_m, float *distance2_m2);
 
-/* Where along the path (in points, 0 to count - 1) a position is, near the place where it was last: what
- * fk_plan_t.along_points is for a state, between decisions. path, position: as for fk_plan();
- * along_points: 0 to path->count - 1. *distance_m (may be null): how far from the path's place it is. */
+/* Project a position onto the path near along_points, the projection before: fk_plan_t.along_points for a position
+ * between decisions. Returns the position along the path, in points, 0 to count - 1. path, position: as for
+ * fk_plan(); along_points: 0 to path->count - 1. *distance_m (may be null): distance of the position from its
+ * projection. */
 float fk_path_along(const fk_tables_t *tables, const fk_path_t *path, float along_points, float x_m, float y_m,
                     float *distance_m);
 

@@ -1,5 +1,5 @@
-/* fk_route.h - the route cost, for the planner's own files: progress along the path as the stage cost, and where the
- * robot goes as the terminal cost. route.c says how. */
+/* fk_route.h - the route cost, for the planner's own files: distance and progress along the path as the stage
+ * cost, and the robot's course as the terminal cost. route.c explains it. */
 #ifndef FK_ROUTE_H
 #define FK_ROUTE_H
 
@@ -11,10 +11,10 @@
 #define FK_ROUTE_BEHIND 2U        /* knots behind the one where the route begins */
 #define FK_ROUTE_KNOTS_MAX 80U
 #define FK_ROUTE_STROKE_MIN_M 1e-4f
-#define FK_ROUTE_WALL_PERIODS 4.0f /* a robot that is nearer to a wall than this, by its speed, turns and does not rest */
-#define FK_ROUTE_SLOW_STEPS 3.0f   /* a robot that moves fewer steps than these in a period is slow, and does not rest */
+#define FK_ROUTE_WALL_PERIODS 4.0f /* a robot that reaches a wall within so many periods at its speed may not rest */
+#define FK_ROUTE_SLOW_STEPS 3.0f   /* a robot that moves fewer steps than this in a period is slow, and may not rest */
 
-/* A place of the route and its direction there. */
+/* A point of the route and the route's direction there. */
 typedef struct {
     float x_m;
     float y_m;
@@ -27,10 +27,10 @@ typedef struct {
     float fraction;          /* of the segment from its point to the next, 0 to 1 */
     float distance2_m2;  /* squared distance of the state from there */
     uint16_t segment;    /* index of its first point */
-    uint8_t held;        /* 1: the state is far off, and the place is the one where it was last */
+    uint8_t held;        /* 1: the state is far from the path, and the projection is the one before */
 } fk_projection_t;
 
-/* What a search works with; filled by fk_route_lay_out(). */
+/* The route and the settings of a search; filled by fk_route_lay_out(). */
 typedef struct {
     fk_knot_t knots[FK_ROUTE_KNOTS_MAX];
     float stroke_max_m;
@@ -63,9 +63,9 @@ void fk_route_project(const fk_path_t *path, float stroke_max_m, float along_poi
 void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float stroke_max_m,
                       const fk_projection_t *projection, fk_route_t *route);
 
-/* 1 where a robot may rest. 0 where it is slow, by FK_ROUTE_SLOW_STEPS. At rest that changes nothing, so it would rest
- * for ever; and beside a path that it cannot follow any stroke costs more than to stay. 0 also where its speed leads
- * it beyond a wall within FK_ROUTE_WALL_PERIODS: it would glide into the wall without turning. */
+/* 1 where a robot may rest. 0 where it is slow, by FK_ROUTE_SLOW_STEPS. At rest that changes nothing, so it would
+ * rest for ever; and beside a path that it cannot follow any stroke costs more than to stay. 0 also where its
+ * speed leads it beyond a wall within FK_ROUTE_WALL_PERIODS: it would glide into the wall without turning. */
 int32_t fk_route_may_rest(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state);
 
 /* Length that scales a route: the table's longest stroke, at least FK_ROUTE_STROKE_MIN_M. */
@@ -135,8 +135,8 @@ static inline float fk_route_huber(const fk_route_t *route, float distance2_m2)
                                              : FK_SQRT(distance2_m2) - route->half_huber_m;
 }
 
-/* What a motion costs that ends at (x_m, y_m), at least 0.
- * knot, arc_m: where on the route it began; where it ends goes to *next_knot and *next_arc_m. */
+/* Stage cost of a motion that ends at (x_m, y_m), at least 0.
+ * knot, arc_m: where on the route it began; *next_knot and *next_arc_m: where it ends. */
 static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot, float arc_m, float x_m, float y_m,
                                          uint32_t *next_knot, float *next_arc_m)
 {
@@ -164,8 +164,8 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     return route->distance_weight_per_m * fk_route_huber(route, distance2_m2) + route->progress_weight_per_m * shortfall_m;
 }
 
-/* Where a robot goes that had a heading (cosine, sine) before a motion: the heading and what the motion counts beside
- * it, turned as it turns in the motion and on after it. A vector of any length. */
+/* The course after a motion: the heading before it (cosine, sine) plus the weighted motion, turned by the motion's
+ * turn and by turn_lead times that again. A vector of any length. */
 static inline void fk_route_course(const fk_route_t *route, float cosine, float sine, const fk_motion_t *motion,
                                    float *course_x, float *course_y)
 {
@@ -178,7 +178,7 @@ static inline void fk_route_course(const fk_route_t *route, float cosine, float 
     float end_cosine;
 
     if ((turn_rad <= FK_SMALL_ANGLE_RAD) && (turn_rad >= -FK_SMALL_ANGLE_RAD)) {
-        fk_sincos_small(turn_rad, &turned_sine, &turned_cosine); /* nearly always: the bits of the other way */
+        fk_sincos_small(turn_rad, &turned_sine, &turned_cosine); /* nearly always; the same bits as below */
     } else {
         /* turn_rad <= 983, turn_lead <= 2: within what fk_sincos takes. */
         fk_sincos(fk_wrap_angle(motion->turn_rad) + route->turn_lead * motion->turn_rad, &turned_sine,
@@ -190,8 +190,8 @@ static inline void fk_route_course(const fk_route_t *route, float cosine, float 
     *course_y = end_sine * ahead + end_cosine * aside;
 }
 
-/* What it costs to end at a position and a place of the route, on the way along (course_x, course_y), at least 0:
- * that grows with the angle up to half a turn as 2 sin(angle / 2), without an arc tangent. */
+/* Terminal cost, at least 0, of a course that does not lead to the point of the route look_ahead_m beyond arc_m:
+ * the weight times 2 sin(angle / 2), which grows with the angle up to half a turn and needs no arc tangent. */
 static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, float x_m, float y_m, float course_x,
                                       float course_y)
 {
@@ -218,7 +218,7 @@ static inline float fk_beyond(float at_m, float least_m, float most_m)
     return fk_larger(0.0f, least_m - at_m) + fk_larger(0.0f, at_m - most_m);
 }
 
-/* What it costs, at least 0, that a motion ends beyond the walls, or that the robot glides there from its end. */
+/* Terminal cost, at least 0, of a motion that ends beyond the walls, or from whose end the robot glides there. */
 static inline float fk_route_wall_cost(const fk_route_t *route, float from_x_m, float from_y_m, float x_m, float y_m)
 {
     const float glide_x_m = x_m + route->wall_glide * (x_m - from_x_m);
@@ -231,9 +231,9 @@ static inline float fk_route_wall_cost(const fk_route_t *route, float from_x_m, 
     return route->wall_weight_per_m * (ends_m + glides_m);
 }
 
-/* What it costs, at least 0, where a branch's end glides to. Beside the route: it moves on and turns on as in its last
- * motion, and that place is held against the knot as far ahead as it glides in the direction of the end's own knot.
- * Beyond walls: fk_route_wall_cost(). */
+/* Terminal cost, at least 0, of where the robot glides from a branch's end. It glides by glide_lead times its last
+ * motion, with the same turn, and its distance from the route there is measured at the knot as far ahead as it
+ * glides along the route. Beyond walls: fk_route_wall_cost(). */
 static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, float arc_m, float from_x_m,
                                         float from_y_m, float x_m, float y_m, float turn_rad)
 {

@@ -1,4 +1,4 @@
-/* fk_tables.h - a table of transitions: opened and checked, and what it says of a state.
+/* fk_tables.h - a table of transitions: opening and checking its image, and looking up what it predicts.
  *
  * C99, no libc, no heap, no recursion, no double. Frames: body x forward, y left. Units: SI, in every name.
  * Every function that can fail returns FK_OK or a negative fk_error_t and then leaves its outputs untouched.
@@ -21,14 +21,14 @@ extern "C" {
 #define FK_PROVENANCE_BYTES 32U    /* SHA-256 of the library that the table was made from */
 #define FK_ACTIONS_MAX 32U         /* actions of a table: 1 to 32 */
 #define FK_LIMBS_MAX 8U            /* limbs of a robot: 1 to 8, bit i of a mask is limb i */
-#define FK_LIMB_USE_MAX 32767U     /* how much a limb was used lately: 0 = rested, this = full */
+#define FK_LIMB_USE_MAX 32767U     /* recent use of a limb: 0 = rested, this = the most */
 #define FK_VELOCITY_CODE_MAX 16383 /* |velocity code|; see nearest.c for why */
 #define FK_MOTION_CODE_MAX 32767   /* |motion code| */
 #define FK_TREE_LEVELS_MAX 13U     /* levels of the search tree: leaves of 8 rows at least in the largest table */
 #define FK_BLOCK_LEVELS_MAX 8U     /* a table of kind nearest has 1 to 256 blocks with a prediction of their own */
 #define FK_WEAR_KNOTS_MAX 16U      /* of a limb's wear curve, 0: the image has none */
 #define FK_LOST_MAX 32767U         /* share of its contribution that a limb has lost: 0 = none, this = all */
-#define FK_COEFFICIENTS 10U        /* of a prediction: 1, three codes, their six products */
+#define FK_COEFFICIENTS 10U        /* of a quadratic prediction: 1, three codes, their six products */
 #define FK_SCALE_MIN 1e-9f         /* least value of one code, m, rad, m/s or rad/s */
 #define FK_SCALE_MAX 0.03f         /* largest value of one code: a motion stays below 1000 m, 1000 rad */
 
@@ -76,9 +76,9 @@ typedef struct {
 typedef struct {
     const uint8_t *action_rows;          /* actions x 4 bytes */
     const uint8_t *wear_curves;          /* limbs x wear_knots x 6 i16 */
-    const int16_t *worn;                 /* actions x 6 codes that the worn limbs change: added to every look-up;
-                                            null: none. Set by whoever learns them, after fk_tables_open() */
-    const uint8_t *columns;              /* actions x 6, where residuals stand; lookup.c says how by kind */
+    const int16_t *worn;                 /* actions x 6 codes added to every look-up for worn limbs; null: none.
+                                            Set by whoever estimates the wear, after fk_tables_open() */
+    const uint8_t *columns;              /* actions x 6 descriptions of where residuals are; lookup.c, by kind */
     const uint8_t *splits;               /* 2^tree_levels - 1 int16, little-endian, heap order */
     const uint8_t *models;               /* nearest: blocks x actions x 6 x FK_COEFFICIENTS int16 */
     const uint8_t *state_rows;           /* states x 3 int16, little-endian, in k-d order */
@@ -102,8 +102,8 @@ typedef struct {
     uint16_t unit[6];                    /* codes per unit of a residual */
     uint16_t states;                     /* 1 to 65535 */
     uint16_t row_bytes;                  /* of one state's transitions */
-    uint16_t use_decay;                  /* part of a limb's use that is left a period later, 1/32768 */
-    uint16_t use_gain;                   /* what firing adds to it, 1/32768 */
+    uint16_t use_decay;                  /* share of a limb's use that is left a period later, in 1/32768 */
+    uint16_t use_gain;                   /* what firing adds to it, in 1/32768 */
     uint8_t shift[6];                    /* of a prediction (nearest) or a correction (affine) */
     uint8_t up[3];                       /* nearest: left shift of the state codes before prediction */
     uint8_t kind;                        /* FK_KIND_NEAREST, FK_KIND_AFFINE */
@@ -136,13 +136,13 @@ int32_t fk_tables_action(const fk_tables_t *tables, uint8_t index, fk_action_t *
  * bytes may be null if length is 0. */
 uint32_t fk_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length);
 
-/* What of a state decides its next motion. */
+/* The part of a state that determines its next motion. */
 typedef struct {
     int32_t velocity_code[3];        /* body frame, |code| <= FK_VELOCITY_CODE_MAX */
-    uint16_t limb_use[FK_LIMBS_MAX]; /* how much each limb was used lately; 0 = rested. Kind nearest: no input */
+    uint16_t limb_use[FK_LIMBS_MAX]; /* recent use of each limb; 0 = rested. Not an input of kind nearest */
 } fk_dynamics_t;
 
-/* Where a state stands in a table. */
+/* The row of a table that a state is looked up in. */
 typedef struct {
     const uint8_t *residuals; /* the row's */
     const uint8_t *model;     /* nearest: coefficients of the row's block; affine: null */
@@ -163,7 +163,7 @@ typedef struct {
 /* Velocity as a code, rounded half away from zero and clamped to +-FK_VELOCITY_CODE_MAX. velocity: finite. */
 int32_t fk_velocity_code(float velocity, float codes_per_velocity);
 
-/* Find the row that answers for a state: the nearest, the lowest on ties. Ask it for each action then. */
+/* Find the row nearest to a state, the lowest on ties. The functions below then evaluate it for each action. */
 void fk_lookup(const fk_tables_t *tables, const fk_dynamics_t *from, fk_lookup_t *lookup);
 
 /* Motion of an action (index below tables->actions) from the state that was looked up. */
@@ -174,16 +174,17 @@ void fk_lookup_motion(const fk_tables_t *tables, const fk_lookup_t *lookup, cons
 void fk_lookup_next(const fk_tables_t *tables, const fk_lookup_t *lookup, const fk_dynamics_t *from,
                     uint32_t action, fk_dynamics_t *next);
 
-/* How much each limb was used lately, one action (index below tables->actions) later: what decay leaves, more
- * where the action fires it, at most FK_LIMB_USE_MAX; 0 for limbs that are not there and for kind nearest.
- * use, next: FK_LIMBS_MAX values, which may be the same. */
+/* Recent use of each limb after one action (index below tables->actions): it decays, and grows where the action
+ * fires the limb, to FK_LIMB_USE_MAX at most; 0 for limbs that the robot lacks and for kind nearest. use, next:
+ * FK_LIMBS_MAX values, which may be the same. */
 void fk_limb_use_after(const fk_tables_t *tables, const uint16_t *use, uint32_t action, uint16_t *next);
 
-/* What a limb that has lost a share (0 to FK_LOST_MAX) of its contribution changes of the six values of each action
+/* How a limb that has lost a share (0 to FK_LOST_MAX) of its contribution changes the six values of each action
  * that fires it, in codes. wear_knots: not 0. */
 void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int32_t codes[6]);
 
-/* The shift of every action, 6 x tables->actions codes, where each limb has lost this much. wear_knots: not 0. */
+/* How the limbs together change every action, 6 x tables->actions codes, where each has lost this share.
+ * wear_knots: not 0. */
 void fk_wear_shift(const fk_tables_t *tables, const uint16_t lost[FK_LIMBS_MAX], int16_t *shift);
 
 #ifdef __cplusplus

@@ -1,4 +1,4 @@
-/* lookup.c - what a table says of a state: decoded by kind, corrected, clamped.
+/* lookup.c - what a table predicts for a state: decoded by kind, corrected, clamped.
  *
  * Every value is clamped to its limit, so whatever an image holds, a motion stays within stroke_max_m and
  * turn_max_rad and a velocity within its code. fk_tables_open() has checked what the widths below rest on. */
@@ -45,10 +45,11 @@ static inline void fk_predict(const fk_tables_t *tables, const fk_lookup_t *look
 /* Kind affine: the row's value, its derivatives times the offset, the limbs' history. A residual is one word,
  * 7 bits for each of three derivatives, 11 for the value. One column is
  *   i16[3] least derivatives, i16 least value, i16 history of four limbs, or of eight where there are more.
- * Widths: a value is within +-(32767 + 2^20); a derivative within +-32767, so that two of them are added as halves, and
- * an offset within +-16383, so three products and a half of 2^15 stay below 1.62e9 < 2^31; |history| sums to 65535 at
- * most and a use is within +-32768 whatever it says, so those products stay below 2^31. Shifts of negative numbers are
- * arithmetic, towards minus infinity, as every compiler that builds for this chip defines them. */
+ * Widths: a value is within +-(32767 + 2^20); a derivative within +-32767, so that two of them are added as
+ * halves, and an offset within +-16383, so three products and a half of 2^15 stay below 1.62e9 < 2^31; |history|
+ * sums to 65535 at most and a use is within +-32768 whatever it says, so those products stay below 2^31. Shifts of
+ * negative numbers are arithmetic, towards minus infinity, as every compiler that builds for this chip defines
+ * them. */
 static inline void fk_correct(const fk_tables_t *tables, const fk_lookup_t *lookup, uint32_t action,
                               uint32_t first, int32_t codes[3])
 {
@@ -82,8 +83,8 @@ static inline void fk_correct(const fk_tables_t *tables, const fk_lookup_t *look
     }
 }
 
-/* Three values of a transition, from the first on, with what worn limbs change, before they are clamped. A shift is an
- * int16, so the sum stays far below 2^31. */
+/* Three values of a transition, from `first` on, with the change by worn limbs, before they are clamped. That
+ * change is an int16, so the sum stays far below 2^31. */
 FK_INLINE void fk_decode(const fk_tables_t *tables, const fk_lookup_t *lookup, uint32_t action, uint32_t first,
                          int32_t codes[3])
 {
@@ -115,9 +116,9 @@ static void fk_factors(const fk_tables_t *tables, const uint8_t *state, uint32_t
     factors[4] = fk_pair((u1 * u2) >> 14, (u2 * u2) >> 14);
 }
 
-/* The row to look a velocity up in. Beyond all states and the offset that is corrected for the table tells nothing
- * apart, so a velocity from there counts as the nearest one within, axis by axis: a search from far away would have to
- * look at many rows. The offset from a row, clamped, is the same either way. */
+/* The row to look a velocity up in. Beyond the box of all states and the offset that is corrected for, the table
+ * holds no further information, so such a velocity is clamped to that box, axis by axis: a search from far away
+ * would visit many rows. The clamped offset from a row is the same either way. */
 static uint16_t fk_row_of(const fk_tables_t *tables, const int32_t velocity_code[3])
 {
     int32_t codes[3];
@@ -164,7 +165,7 @@ void fk_lookup_motion(const fk_tables_t *tables, const fk_lookup_t *lookup, cons
 {
     int32_t codes[3];
 
-    (void)from; /* fk_lookup() has taken all that counts of it */
+    (void)from; /* fk_lookup() has used it; the interface allows for a kind of table that needs it here */
     fk_decode(tables, lookup, action, 0U, codes);
     motion->forward_m = (float)fk_clamp(codes[0], tables->motion_limit[0]) * tables->motion_scale[0];
     motion->left_m = (float)fk_clamp(codes[1], tables->motion_limit[1]) * tables->motion_scale[1];

@@ -5,7 +5,8 @@
  * the sum of three is at most 3 220 832 268 < 2^32, so it fits uint32_t. Nothing overflows or is rounded. */
 #include "fk_internal.h"
 
-/* A side of a split that waits, with the squared distance along each axis from the query to its box. */
+/* A side of a split that is still to be searched, with the squared distance along each axis from the query to its
+ * box. */
 typedef struct {
     uint32_t box_distance2; /* codes^2, sum of the three: no row of the side is nearer */
     uint32_t apart2[3];     /* codes^2 */

@@ -7,15 +7,15 @@
  * deviation from that knot is split along and across the route's direction there.
  *
  * Stage cost: a Huber loss of the motion's end's distance from the route, and the shortfall of its advance against
- * the longest stroke of the table. Both are at least 0, which the branch and bound of tree.c relies on. Terminal cost:
- * how far the robot's course leads away from the route's place a look-ahead further on (pure pursuit's target point;
- * the course is the heading and, weighed, the last motion, since a robot with a worn limb goes crabwise); how far
- * beside the route it glides on from the end, by a motion of constant turn; and, where there are walls, how far the
- * end, and the place where it would glide to rest, lie beyond them. */
+ * the longest stroke of the table. Both are at least 0, which the branch and bound of tree.c relies on. Terminal
+ * cost: how far the robot's course leads away from the route's place a look-ahead further on (pure pursuit's
+ * target point; the course is the heading and, weighed, the last motion, since a robot with a worn limb goes
+ * crabwise); how far beside the route it glides on from the end, by a motion of constant turn; and, where there
+ * are walls, how far the end, and the place where it would glide to rest, lie beyond them. */
 #include "fk_route.h"
 
-#define FK_ROUTE_AHEAD_STROKES 1.5f /* how far ahead along the path the projection is looked for */
-#define FK_ROUTE_FAR_STROKES 2.0f   /* further off than this, the projection stays where it was */
+#define FK_ROUTE_AHEAD_STROKES 1.5f /* the projection is searched for this far ahead along the path */
+#define FK_ROUTE_FAR_STROKES 2.0f   /* beyond this distance the projection stays where it was */
 
 float fk_route_stroke_max(const fk_tables_t *tables)
 {
@@ -77,7 +77,7 @@ void fk_route_project(const fk_path_t *path, float stroke_max_m, float along_poi
     home_part = along_points - (float)home;
     projection->distance2_m2 = FLT_MAX; /* positions are within 1000 m, so squares stay below 1e7 */
     length_m = fk_project_segment(path, home, 0, x_m, y_m, projection);
-    /* Outwards from there; the lowest segment keeps a tie. */
+    /* Then its neighbours, outwards; the lowest segment wins a tie. */
     behind_m = home_part * length_m;
     for (segment = home; (segment > 0U) && (behind_m < stroke_max_m); segment--) {
         behind_m = behind_m + fk_project_segment(path, segment - 1U, 1, x_m, y_m, projection);
@@ -100,7 +100,7 @@ void fk_route_project(const fk_path_t *path, float stroke_max_m, float along_poi
     }
 }
 
-/* Knots that a search needs: what its levels can reach, and the look-ahead beyond, as far as there is room. */
+/* Knots that a search needs: those that its levels can reach, and the look-ahead beyond, up to FK_ROUTE_KNOTS_MAX. */
 static uint32_t fk_route_knots(uint32_t depth, float look_ahead_steps)
 {
     const uint32_t reached = FK_ROUTE_BEHIND + FK_ROUTE_AHEAD * depth + 2U; /* at most 52 */

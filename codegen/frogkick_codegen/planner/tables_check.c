@@ -9,7 +9,7 @@
 #define FK_AFFINE_DERIVATIVE_MAX 127   /* 7 bits */
 #define FK_AFFINE_VALUE_MAX 2047U      /* 11 bits */
 
-/* What of the header says how large everything is; filled when it is in range. */
+/* Counts, sizes and offsets from the header, once they are known to be in range. */
 typedef struct {
     uint32_t kind;
     uint32_t states;
@@ -47,7 +47,7 @@ uint32_t fk_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length)
     return ~crc;
 }
 
-/* Identity, size and integrity: after this every byte of the header may be believed to be as written. */
+/* Identity, size and integrity: after this every byte of the image is as it was written. */
 static int32_t fk_check_identity(const uint8_t *image, uint32_t size)
 {
     uint32_t version;
@@ -295,7 +295,7 @@ static int32_t fk_check_affine_column(const uint8_t *column, uint32_t limbs, uin
     return (FK_AFFINE_VALUE_MAX * unit > FK_RESIDUAL_CODES_MAX) ? FK_ERROR_IMAGE_COLUMN : FK_OK;
 }
 
-/* The columns: how a state's transitions are read, and that they have as many bytes. */
+/* The columns: how a state's transitions are read, and that they add up to its bytes. */
 static int32_t fk_check_columns(const uint8_t *image, const fk_shape_t *shape)
 {
     const uint32_t affine = (shape->kind == FK_KIND_AFFINE) ? 1U : 0U;

@@ -1,9 +1,9 @@
 /* tree.c - a depth-limited branch and bound over sequences of actions, with iterative deepening where the
- * transitions are limited. Each level is searched depth first with an explicit stack. The bound is the cost so far: no
- * cost is negative (Land & Doig 1960; iterative deepening: Korf 1985). */
+ * transitions are limited. Each level is searched depth first with an explicit stack. The bound is the cost so
+ * far: no cost is negative (Land & Doig 1960; iterative deepening: Korf 1985). */
 #include "fk_route.h"
 
-/* A state on the way down: world pose, table row of its velocity, cost so far. */
+/* A node of the search: world pose, table row of its velocity, cost so far. */
 typedef struct {
     float x_m;
     float y_m;
@@ -13,7 +13,7 @@ typedef struct {
     float cost;           /* sum over the levels above, added from the root */
     float arc_m;          /* arc length along the route, from its first knot */
     uint32_t knot;        /* of the route */
-    uint32_t next_action; /* place in the search's order of the first action not yet tried */
+    uint32_t next_action; /* index in the search's order of the next action to try */
     fk_dynamics_t dynamics;
     fk_lookup_t lookup;
 } fk_node_t;
@@ -22,13 +22,13 @@ typedef struct {
     const fk_tables_t *tables;
     const fk_path_t *path;
     const fk_plan_config_t *config;
-    fk_node_t nodes[FK_DEPTH_MAX]; /* a level's own; the last level's successors are costed and forgotten */
+    fk_node_t nodes[FK_DEPTH_MAX]; /* one for each level; successors of the last level are evaluated and not kept */
     fk_route_t route;
     float shallow_cost[FK_ACTIONS_MAX]; /* of each action at level 1 */
     float level_factor[FK_DEPTH_MAX];   /* paper: of each level of the search under way */
     float best_cost;                    /* of the search under way */
     uint32_t best_action;
-    uint32_t excluded;                  /* first actions that are not candidates, a bit each */
+    uint32_t excluded;                  /* bit i: action i is not a candidate for the first action */
     uint32_t transitions;
     uint32_t levels;                    /* of the search under way */
 } fk_search_t;
@@ -89,7 +89,7 @@ static int32_t fk_state_check(const fk_state_t *state, uint32_t points)
     return FK_OK;
 }
 
-/* Finish a node whose pose and dynamics stand: look them up, and its heading's sine. */
+/* Complete a node whose pose and dynamics are set: look them up, and compute the sine of its heading. */
 static void fk_node_open(const fk_tables_t *tables, fk_node_t *node)
 {
     fk_lookup(tables, &node->dynamics, &node->lookup);
@@ -147,7 +147,7 @@ static int32_t fk_expand(fk_search_t *search, uint32_t level, uint32_t first_act
 
             fk_route_course(route, node->cosine, node->sine, &motion, &course_x, &course_y);
             cost = cost + fk_route_end_cost(route, arc_m, x_m, y_m, course_x, course_y);
-            if (fk_is_pruned(search, first_action, cost) == 0) { /* most are: what follows is saved */
+            if (fk_is_pruned(search, first_action, cost) == 0) { /* most are, which saves the rest */
                 cost = cost + fk_route_glide_cost(route, knot, arc_m, node->x_m, node->y_m, x_m, y_m, motion.turn_rad);
             }
         }
@@ -181,8 +181,8 @@ static void fk_search_begin(fk_search_t *search, uint32_t levels)
     }
 }
 
-/* First actions that are not candidates: with the route cost those that fire nothing, where the robot may not rest.
- * They stay where the table holds nothing else. */
+/* First actions that are not candidates: with the route cost those that fire no limb, where the robot may not
+ * rest, unless the table has no others. */
 static uint32_t fk_excluded(const fk_search_t *search, const fk_state_t *state)
 {
     const uint8_t *row = search->tables->action_rows; /* name, first mask, second mask, 0 */
@@ -206,8 +206,8 @@ static uint32_t fk_excluded(const fk_search_t *search, const fk_state_t *state)
 }
 
 /* The order in which a deeper level tries the first actions: the best so far, then by their cost at level 1, the
- * lowest on ties. How many they are. Further actions of a branch follow the same order, with those behind the others
- * that are no first actions: a cheap branch that is found early cuts more of the later ones. */
+ * lowest on ties. Returns how many there are. Further actions of a branch follow the same order, and those that
+ * are not candidates for the first come last. A good branch that is found early prunes more of the later ones. */
 static uint32_t fk_search_order(const fk_search_t *search, uint32_t best_action, uint8_t order[FK_ACTIONS_MAX])
 {
     uint32_t firsts = 0U;
@@ -237,7 +237,7 @@ static uint32_t fk_search_order(const fk_search_t *search, uint32_t best_action,
     return firsts;
 }
 
-/* The level to search after the first one: the next, or at once the last where nothing can cut that. */
+/* The level to search after the first one: the second, or at once the last where transitions_max cannot end it. */
 static uint32_t fk_second_level(const fk_plan_config_t *config, uint32_t actions)
 {
     uint32_t most = actions; /* transitions of the first level, and of the whole tree */
@@ -251,7 +251,7 @@ static uint32_t fk_second_level(const fk_plan_config_t *config, uint32_t actions
     return ((config->transitions_max == 0U) || (config->transitions_max >= most)) ? config->depth : 2U;
 }
 
-/* Keep what the branches that begin with an action have come to: at level 1 each action's cost by itself. */
+/* Note the result of all branches that begin with an action; at level 1 also that action's own cost. */
 static void fk_search_keep(fk_search_t *search, uint32_t first_action, fk_plan_t *plan)
 {
     if (search->levels > 1U) {
@@ -268,8 +268,8 @@ static void fk_search_keep(fk_search_t *search, uint32_t first_action, fk_plan_t
     search->best_action = search->tables->actions;
 }
 
-/* Search the tree, the actions of each level in this order: 1 where it has to stop before its end. A level that is cut
- * still counts if the first one in order is finished; level 1 is always finished. */
+/* Search the tree, the actions of each level in this order. Returns 1 where transitions_max ends it before its
+ * end. Such a level still counts if the first action in order was finished; level 1 is always finished. */
 FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_t order[FK_ACTIONS_MAX],
                                                uint32_t firsts, fk_plan_t *plan)
 {
@@ -306,7 +306,7 @@ FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_
     }
 }
 
-/* Search the first level, then the next ones up to the last. The answer goes to plan. */
+/* Iterative deepening: search the first level, then the next ones up to the last. The result goes to plan. */
 static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
 {
     const uint32_t actions = search->tables->actions;
@@ -319,7 +319,7 @@ static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
     plan->action = 0U;
     plan->depth_reached = 1U;
     for (index = 0U; index < actions; index++) {
-        search->shallow_cost[index] = 0.0f; /* all alike: the first level goes by their numbers */
+        search->shallow_cost[index] = 0.0f; /* equal, so the first level is in the order of their numbers */
     }
     fk_search_begin(search, 1U);
     firsts = fk_search_order(search, actions, order);

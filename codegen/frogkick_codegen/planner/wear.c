@@ -1,4 +1,4 @@
-/* wear.c - what worn limbs change: the image's curves, and from them one shift for each action.
+/* wear.c - how worn limbs change the prediction: the image's wear curves, and from them one shift for each action.
  *
  * Widths: a knot is within +-32767 (fk_image_check), so the step between two is within +-65534 and its product with a
  * part below 2^15 below 2^31. A sum over the limbs is within +-2^18. */
@@ -7,7 +7,7 @@
 void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int32_t codes[6])
 {
     const uint32_t knots = tables->wear_knots;
-    const uint32_t place = lost * knots; /* in knots, from zero, times 2^15 */
+    const uint32_t place = lost * knots; /* position along the curve in knots, times 2^15 */
     const uint32_t knot = place >> 15;   /* < knots, as lost < 2^15 */
     const int32_t part = (int32_t)(place & 0x7FFFU);
     const uint8_t *after = tables->wear_curves + 12U * (limb * knots + knot);

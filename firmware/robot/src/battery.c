@@ -9,7 +9,7 @@
 #include "limbs.h"
 
 #define INPUTS 8u
-#define IS_SEEN(input) (((FK_BATTERY_INPUTS) >> (input)) & 1u)
+#define IS_READ(input) (((FK_BATTERY_INPUTS) >> (input)) & 1u)
 
 /* AIN0 to AIN3 are P0.02 to P0.05, AIN4 to AIN7 P0.28 to P0.31. */
 #define PIN_MASK ((((FK_BATTERY_INPUTS) & 0xFu) << 2) | ((((FK_BATTERY_INPUTS) >> 4) & 0xFu) << 28))
@@ -31,7 +31,7 @@ void fk_battery_pins_init(void)
         .resistor_n = NRF_SAADC_RESISTOR_DISABLED,
         .gain = NRF_SAADC_GAIN1_6,
         .reference = NRF_SAADC_REFERENCE_INTERNAL,
-        .acq_time = NRF_SAADC_ACQTIME_40US, /* dividers are of high resistance */
+        .acq_time = NRF_SAADC_ACQTIME_40US, /* for dividers of high resistance */
         .mode = NRF_SAADC_MODE_SINGLE_ENDED,
         .burst = NRF_SAADC_BURST_DISABLED,
     };
@@ -42,7 +42,7 @@ void fk_battery_pins_init(void)
     }
     fk_battery_init(&battery);
     for (uint32_t input = 0u; input < INPUTS; ++input) {
-        if (IS_SEEN(input) != 0u) {
+        if (IS_READ(input) != 0u) {
             nrf_saadc_channel_init(NRF_SAADC, count, &channel);
             nrf_saadc_channel_input_set(NRF_SAADC, count, (nrf_saadc_input_t)(NRF_SAADC_INPUT_AIN0 + input),
                                         NRF_SAADC_INPUT_DISABLED);
@@ -61,7 +61,7 @@ static int32_t lowest_mv(void)
     uint32_t count = 0u;
 
     for (uint32_t input = 0u; input < INPUTS; ++input) {
-        if (IS_SEEN(input) != 0u) {
+        if (IS_READ(input) != 0u) {
             lowest = MIN(lowest, (results[count] * FULL_MV) >> FULL_BITS);
             ++count;
         }
@@ -77,7 +77,7 @@ void fk_battery_pins_service(int32_t limb_is_on)
     if (nrf_saadc_event_check(NRF_SAADC, NRF_SAADC_EVENT_END)) {
         nrf_saadc_event_clear(NRF_SAADC, NRF_SAADC_EVENT_END);
         fk_battery_note(&battery, lowest_mv(), FK_BATTERY_LEAST_MV);
-        nrf_saadc_task_trigger(NRF_SAADC, NRF_SAADC_TASK_START); /* room for the next ones */
+        nrf_saadc_task_trigger(NRF_SAADC, NRF_SAADC_TASK_START); /* a buffer for the next readings */
     }
     if (fk_battery_is_due(&battery, fk_limbs_now_us(), limb_is_on, FK_BATTERY_LEAST_MV) != 0) {
         nrf_saadc_task_trigger(NRF_SAADC, NRF_SAADC_TASK_SAMPLE);

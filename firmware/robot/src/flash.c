@@ -21,7 +21,7 @@ fk_flash_t fk_flash_region(void)
     return flash;
 }
 
-/* Neither tells of success: the store reads back. The driver waits for gaps that the radio leaves. */
+/* Neither reports success, as the store reads back. The driver waits for gaps that the radio leaves. */
 void fk_flash_erase(const fk_flash_t *flash, uint32_t offset)
 {
     (void)flash;

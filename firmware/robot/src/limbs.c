@@ -20,17 +20,18 @@
 static const uint8_t pins[] = {DT_FOREACH_PROP_ELEM_SEP(LIMBS_NODE, gpios, LIMB_PIN, (, ))};
 BUILD_ASSERT(ARRAY_SIZE(pins) <= 8, "the core knows at most eight limbs");
 
-/* The timer's first tick: where it starts the gates go high, and its value at the end is so much more. */
+/* The gates go high at the timer's first tick, so the compare value of the end is one more than the length. */
 #define BEGIN_TICK 1u
-/* The clock's own grain, and from reading it to the gates. */
+/* Resolution of the clock, and time from reading it until the gates switch. */
 #define START_US 40u
-/* A crystal takes 0.4 to 1.5 ms to start. It may say that it runs before it is stable (erratum 68): one look more. */
-#define CLOCK_LOOKS 2u
-#define CLOCK_LOOKS_MAX 20u /* 1 ms apart */
+/* A crystal takes 0.4 to 1.5 ms to start. It may report that it runs before it is stable (erratum 68), so it is
+ * tested twice. */
+#define CLOCK_TESTS 2u
+#define CLOCK_TESTS_MAX 20u /* 1 ms apart */
 
 static const nrfx_timer_t timer = NRFX_TIMER_INSTANCE(2);
 static const nrfx_gpiote_t gpiote = NRFX_GPIOTE_INSTANCE(0);
-static void (*tell_end)(void);
+static void (*on_end)(void);
 static atomic_t is_on;
 static uint32_t begin_channels[ARRAY_SIZE(pins)]; /* masks of PPI channels: the timer's begin -> SET of a limb */
 static uint32_t all_begin_channels;
@@ -43,7 +44,7 @@ static void timer_event(nrf_timer_event_t event, void *context)
     (void)context;
     if (event == NRF_TIMER_EVENT_COMPARE0) {
         atomic_set(&is_on, 0);
-        tell_end();
+        on_end();
     }
 }
 
@@ -52,8 +53,9 @@ uint64_t fk_limbs_now_us(void)
     return k_ticks_to_us_floor64((uint64_t)k_uptime_ticks());
 }
 
-/* The pin low, its CLR task tied to the timer's end, its SET task to the timer's begin by a channel that is off. */
-static int32_t tie(uint32_t limb)
+/* Set the pin low, connect its CLR task to the timer's end, and its SET task to the timer's begin by a channel
+ * that is disabled. */
+static int32_t connect_limb(uint32_t limb)
 {
     const uint8_t pin = pins[limb];
     static const nrfx_gpiote_output_config_t output = {
@@ -89,7 +91,7 @@ int32_t fk_limbs_init(void (*ended)(void))
 {
     nrfx_timer_config_t config = NRFX_TIMER_DEFAULT_CONFIG(1000000);
 
-    tell_end = ended;
+    on_end = ended;
     config.bit_width = NRF_TIMER_BIT_WIDTH_32;
     IRQ_CONNECT(DT_IRQN(DT_NODELABEL(timer2)), DT_IRQ(DT_NODELABEL(timer2), priority), nrfx_isr,
                 nrfx_timer_2_irq_handler, 0);
@@ -98,7 +100,7 @@ int32_t fk_limbs_init(void (*ended)(void))
         return FK_LIMBS_ERROR_HARDWARE;
     }
     for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
-        if (tie(limb) != FK_LIMBS_OK) {
+        if (connect_limb(limb) != FK_LIMBS_OK) {
             return FK_LIMBS_ERROR_HARDWARE;
         }
     }
@@ -127,11 +129,11 @@ int32_t fk_limbs_hold_clock(void)
         return FK_LIMBS_ERROR_CLOCK;
     }
     clock_is_held = 1;
-    for (uint32_t looks = 0; looks < CLOCK_LOOKS_MAX; ++looks) {
+    for (uint32_t tests = 0; tests < CLOCK_TESTS_MAX; ++tests) {
         if (sys_notify_fetch_result(&clock_client.notify, &result) == 0 && result >= 0 && fk_limbs_clock_is_exact()) {
             ++good;
         }
-        if (good == CLOCK_LOOKS) {
+        if (good == CLOCK_TESTS) {
             return FK_LIMBS_OK;
         }
         (void)k_sleep(K_MSEC(1));
@@ -148,8 +150,8 @@ void fk_limbs_release_clock(void)
     }
 }
 
-/* What the timer's two events will do to which gates; the timer stands still at 0. nrfx wants a timer that it started
- * once to be disabled before it is started again, though it has stopped by itself. */
+/* Prepare the timer's two events for these gates; the timer is stopped at 0. nrfx requires that a timer be
+ * disabled before it is enabled again, even if it has stopped by itself. */
 static void set_up(uint8_t limb_mask, uint32_t pulse_us)
 {
     nrfx_timer_disable(&timer);
@@ -181,7 +183,7 @@ int32_t fk_limbs_pulse(uint8_t limb_mask, uint32_t pulse_us, uint64_t latest_us)
         return FK_LIMBS_ERROR_BUSY;
     }
     set_up(limb_mask, pulse_us);
-    /* No interrupt between the look at the clock and the one write that begins it all. */
+    /* No interrupt between reading the clock and the one write that starts the timer. */
     const unsigned int key = irq_lock();
     const int32_t in_time = fk_limbs_now_us() + START_US <= latest_us;
     if (in_time != 0) {
@@ -200,7 +202,8 @@ void fk_limbs_off(void)
     if (is_ready == 0) {
         return;
     }
-    /* Nothing begins any more, then gates low, then no end is needed. */
+    /* In this order: no pulse can begin any more, all gates go low, and only then does the timer stop that would
+     * end a pulse. */
     nrfx_gppi_channels_disable(all_begin_channels);
     for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
         nrfx_gpiote_clr_task_trigger(&gpiote, pins[limb]);

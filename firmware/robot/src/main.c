@@ -46,9 +46,9 @@ static int start_watchdog(const struct device *watchdog)
     return (error != 0) ? error : channel;
 }
 
-/* The crystal runs before the core hears of ARM, with a code or without, and it hears where it does not. A frame's type is
- * its second byte: COBS replaces zeros alone, which no type is. */
-static void mind_clock_before(const uint8_t *frame, uint32_t length)
+/* Before the core gets an ARM, with a code or without, the crystal is started; where it does not run, the core is
+ * told. A frame's type is its second byte, since COBS replaces zeros alone, and no type is zero. */
+static void start_crystal_for_arm(const uint8_t *frame, uint32_t length)
 {
     if (length < 2u || (frame[1] & ~FK_AUTH_BIT) != FK_FRAME_ARM) {
         return;
@@ -59,8 +59,8 @@ static void mind_clock_before(const uint8_t *frame, uint32_t length)
     }
 }
 
-/* While a pulse may begin the crystal runs; afterwards it is the radio's alone. */
-static void mind_clock_after(void)
+/* The crystal runs as long as a pulse may begin. Afterwards it runs for the radio alone. */
+static void check_crystal(void)
 {
     if (fk_robot_may(&robot, FK_EVENT_PULSE) != FK_STATUS_OK) {
         fk_limbs_release_clock();
@@ -69,8 +69,8 @@ static void mind_clock_after(void)
     }
 }
 
-/* One frame at most: between two feeds of the watchdog lie one command and one tick, however many commands wait.
- * Returns 1 where it took one: another may wait. */
+/* Takes one frame at most, so that between two feeds of the watchdog lie one command and one tick, however many
+ * commands wait. Returns 1 where it took one, since another may wait. */
 static int32_t take_frame(void)
 {
     uint8_t byte;
@@ -78,19 +78,20 @@ static int32_t take_frame(void)
     while (fk_radio_read(&byte) != 0) {
         const uint32_t length = fk_frame_collect(&collector, byte);
         if (length > 0u) {
-            mind_clock_before(collector.bytes, length);
+            start_crystal_for_arm(collector.bytes, length);
             fk_robot_on_frame(&robot, collector.bytes, length, fk_limbs_now_us());
-            mind_clock_after();
+            check_crystal();
             return 1;
         }
     }
     return 0;
 }
 
-BUILD_ASSERT(FK_LIMBS_ERROR_LATE == FK_PULSE_LATE, "a pulse that is too late is a refused stroke, no error");
+BUILD_ASSERT(FK_LIMBS_ERROR_LATE == FK_PULSE_LATE, "a pulse that is too late is a refused stroke, not an error");
 
-/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not: that
- * stroke is refused. One that the gates refuse is an error. Returns 1 where the core needs a tick at once. */
+/* Do what a tick's outputs say. For the guard the pulse begins at tick_us. A pulse that would begin more than
+ * FK_PORT_LATE_US later does not begin, and the core refuses its stroke. Any other error is an internal error of
+ * the robot. Returns 1 where the core needs a tick at once. */
 static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
 {
     if (outputs->all_off != 0u) {
@@ -126,10 +127,10 @@ static uint8_t reset_reason(void)
     if ((cause & RESET_PIN) != 0u) {
         return FK_RESET_PIN;
     }
-    return (cause == 0u) ? FK_RESET_POWER : FK_RESET_UNKNOWN; /* this chip notes no cause for power */
+    return (cause == 0u) ? FK_RESET_POWER : FK_RESET_UNKNOWN; /* this chip records no cause for a power-on */
 }
 
-/* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
+/* With a table that is not for this robot it answers all the same, and reports its fault; it starts no pulse. */
 static void boot_robot(uint8_t reset)
 {
     flash = fk_flash_region();
@@ -144,9 +145,9 @@ static void boot_robot(uint8_t reset)
     fk_robot_use_log(&robot, &history);
 }
 
-BUILD_ASSERT(FK_RADIO_SEND_BYTES == FK_TX_BYTES, "all that the core has is taken at once: whole frames");
+BUILD_ASSERT(FK_RADIO_SEND_BYTES == FK_TX_BYTES, "all that the core has to send is taken at once, so whole frames");
 
-/* Only as fast as the radio takes them: until then they wait in the core, which counts what finds no room there. */
+/* No faster than the radio sends: until then frames wait in the core, which counts those that find no room. */
 static void send_answers(void)
 {
     fk_robot_note_frames_dropped(&robot, fk_radio_take_dropped_frames());
@@ -193,7 +194,7 @@ int main(void)
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
         const int32_t at_once = drive_limbs(&outputs, begin_us);
         fk_battery_pins_service((outputs.limb_mask != 0u) ? 1 : 0);
-        mind_clock_after();
+        check_crystal();
         fk_robot_note_tick(&robot, (uint32_t)(fk_limbs_now_us() - begin_us));
         send_answers();
 

@@ -14,16 +14,16 @@
 #include <zephyr/sys/util.h>
 #include <zephyr/version.h>
 
-#define RECEIVE_BYTES 2048 /* a frame is at most 253: what comes while a decision computes waits here */
+#define RECEIVE_BYTES 2048 /* a frame has at most 253 bytes; what arrives while a decision computes waits here */
 #define ATT_HEAD_BYTES 3u
 
-/* The thread that sends: below the loop, which it must never hold up. What it waits for, the radio's buffers, come free one
- * by one, or all at once when the connection ends. */
+/* The thread that sends has a lower priority than the loop, which it must not hold up. It waits for the radio's
+ * buffers, which become free one by one, or all at once when the connection ends. */
 #define SENDER_STACK_BYTES 2048
 #define SENDER_PRIORITY K_PRIO_PREEMPT(5)
 #define RETRY_MS 10
 #define PAIRINGS_MAX 3u
-#define TRIES_MAX 500u /* 5 s without a buffer: that frame is given up */
+#define TRIES_MAX 500u /* 5 s without a buffer: the frame is dropped */
 
 #define NUS_SERVICE BT_UUID_128_ENCODE(0x6e400001, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
 #define NUS_RECEIVE BT_UUID_128_ENCODE(0x6e400002, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
@@ -44,10 +44,10 @@ static atomic_t dropped_frames;
 
 static uint8_t outgoing[FK_RADIO_SEND_BYTES];
 static uint32_t outgoing_bytes;
-static atomic_t is_sending; /* outgoing belongs to the thread */
+static atomic_t is_sending; /* 1: the buffer `outgoing` belongs to the thread */
 static K_SEM_DEFINE(to_send, 0, 1);
 
-/* Bytes that find no room are lost; the frame that they belong to fails its CRC and the host repeats it. */
+/* Bytes that find no room are lost: their frame fails its CRC-32, and the host repeats it. */
 static ssize_t on_write(struct bt_conn *conn, const struct bt_gatt_attr *attribute, const void *bytes, uint16_t length,
                         uint16_t offset, uint8_t flags)
 {
@@ -79,7 +79,7 @@ static const struct bt_data scan_answer[] = {
     BT_DATA(BT_DATA_NAME_COMPLETE, CONFIG_BT_DEVICE_NAME, sizeof(CONFIG_BT_DEVICE_NAME) - 1),
 };
 
-/* Once, until a host connects. Zephyr 4.0 has one name for what were two options. */
+/* Advertise until a host connects. Zephyr 4.0 has one option for what were two. */
 #if ZEPHYR_VERSION_CODE >= ZEPHYR_VERSION(4, 0, 0)
 #define ADVERTISE_ONCE BT_LE_ADV_OPT_CONN
 #else
@@ -121,9 +121,10 @@ static void count_bond(const struct bt_bond_info *bond, void *count)
 }
 
 static int32_t is_after_power_on;
-static uint32_t pairings_tried; /* since one succeeded; one that is broken off is one too */
+static uint32_t pairings_tried; /* since one succeeded; an interrupted one counts too */
 
-/* Kconfig says why: FROGKICK_PAIRING_S. A passkey that is always the same gives way bit by bit, within twenty tries. */
+/* FROGKICK_PAIRING_S in Kconfig says why. Each failed try reveals one bit of a passkey that never changes: twenty
+ * tries find it. */
 static enum bt_security_err on_pairing(struct bt_conn *conn, const struct bt_conn_pairing_feat *const feat)
 {
     uint32_t bonds = 0;
@@ -242,7 +243,7 @@ static void find(struct bt_conn *conn, void *found)
     }
 }
 
-/* bt_gatt_notify waits for a buffer, for ever if need be, which ends with the connection; or it returns without one. */
+/* bt_gatt_notify waits for a buffer as long as the connection lasts, or returns an error where there is none. */
 static int notify(struct bt_conn *conn, const uint8_t *bytes, uint32_t length)
 {
     int error = bt_gatt_notify(conn, TRANSMIT_VALUE, bytes, (uint16_t)length);
@@ -254,11 +255,11 @@ static int notify(struct bt_conn *conn, const uint8_t *bytes, uint32_t length)
     return error;
 }
 
-/* @retval 0, or a negative errno: then none of the frame has left, or a part that the next frame sees to */
+/* @retval 0, or a negative errno: none of the frame was sent, or a part, which the next call ends with a delimiter */
 static int send_frame(struct bt_conn *conn, const uint8_t *bytes, uint32_t length)
 {
     static const uint8_t delimiter = 0;
-    static uint8_t is_torn; /* the host has a part of a frame whose end will never come */
+    static uint8_t is_torn; /* 1: the host has received a part of a frame that will not be completed */
     uint32_t sent = 0;
     int error = is_torn != 0 ? notify(conn, &delimiter, sizeof(delimiter)) : 0;
 
@@ -282,7 +283,7 @@ static void send_frames(void)
     struct bt_conn *conn = NULL;
     uint32_t begin = 0;
 
-    /* Held until all is sent: while it is, no other connection can take its place. */
+    /* The reference is held until all is sent, so that no other connection can replace this one. */
     bt_conn_foreach(BT_CONN_TYPE_LE, find, &conn);
     while (begin < outgoing_bytes) {
         uint32_t end = begin;

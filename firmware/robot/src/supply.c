@@ -4,13 +4,14 @@
 #include <nrfx_power.h>
 #include <zephyr/sys/atomic.h>
 
-/* The comparator tells of a supply that falls, not of one that is well again: it is switched off and on, and where it has
- * told nothing for so long, it is. It works while the chip's 64 MHz run: while the processor or the limbs' timer does. */
+/* The power-fail comparator reports a supply that falls, not one that has recovered. So it is switched off and on
+ * again, and where it reports nothing for this long, the supply is sufficient. It works while the chip's 64 MHz
+ * clock runs, so while the processor or the limbs' timer does. */
 #define SETTLED_US 1000u
 
 #define LEAST NRF_POWER_POFTHR_V27
 
-static void (*tell_fall)(void);
+static void (*on_fall)(void);
 static atomic_t has_fallen;
 static uint8_t is_low;
 static uint8_t is_asked;
@@ -19,14 +20,14 @@ static uint64_t asked_us;
 static void on_warning(void)
 {
     atomic_set(&has_fallen, 1);
-    tell_fall();
+    on_fall();
 }
 
 static const nrfx_power_pofwarn_config_t warning = {.handler = on_warning, .thr = LEAST};
 
 void fk_supply_init(void (*fell)(void))
 {
-    tell_fall = fell;
+    on_fall = fell;
     nrfx_power_pof_init(&warning);
     nrfx_power_pof_enable(&warning);
 }

@@ -1,4 +1,4 @@
-"""The guard's books of the limbs' heat: damaged, lost, or never written, they allow none."""
+"""The guard's history of pulses: where it is damaged, lost or was never written, no pulse is allowed."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ BEFORE_THE_NEXT: dict[str, Callable[[Guard], None]] = {
     "a fix": lambda guard: guard.note_fix(NOW_US),
     "a run": lambda guard: guard.closed_loop(True),
 }
-"""What may be entered in books that were damaged: it must not make them pass."""
+"""What may be written to a damaged history: it must not make the history pass."""
 
 
 @pytest.mark.parametrize("name", BEFORE_THE_NEXT)
-def test_one_flipped_bit_in_the_books_allows_nothing_ever(name: str) -> None:
+def test_one_flipped_bit_in_the_history_allows_nothing_ever(name: str) -> None:
     """It allowed a second pulse 1 ms after the first, for three bits of one limb."""
     guard = Guard()
     assert guard.allow(0b01, 80_000, 10**7)
@@ -84,27 +84,27 @@ def test_one_flipped_bit_in_the_books_allows_nothing_ever(name: str) -> None:
         BEFORE_THE_NEXT[name](guard)
         assert not guard.is_sound()
         for at_us in (NOW_US, 10**7 + 81_000, 10**8, 2**63):
-            assert guard.told(0b01, 80_000, at_us) == guard.told(0b10, 80_000, at_us) == -1, bit
+            assert guard.answer(0b01, 80_000, at_us) == guard.answer(0b10, 80_000, at_us) == -1, bit
     guard.bytes[:] = whole
     assert guard.allow(0b01, 80_000, 10**7 + 80_000 + LATE_US + REST_US)
 
 
-def test_books_of_one_limb_do_not_pass_for_another_s() -> None:
+def test_the_history_of_one_limb_does_not_pass_for_that_of_another() -> None:
     guard = Guard()
     assert guard.allow(0b01, 80_000, 10**7)
     guard.bytes[:160] = guard.bytes[160:320]
-    assert guard.told(0b01, 80_000, 10**7 + 81_000) == -1
+    assert guard.answer(0b01, 80_000, 10**7 + 81_000) == -1
 
 
-def test_empty_memory_is_no_book() -> None:
+def test_memory_of_equal_bytes_is_no_history() -> None:
     for byte in (b"\x00", b"\xff", b"\xa5"):
         guard = Guard()
         guard.bytes[:] = byte * len(guard.bytes)
-        assert guard.told(0b01, 80_000, 10**8) == -1
+        assert guard.answer(0b01, 80_000, 10**8) == -1
 
 
 @pytest.mark.parametrize("between", some(["nothing", "DISARM", "STOP", "FIX", "START", "late"], 3))
-def test_damaged_books_of_the_guard(between: str) -> None:
+def test_a_damaged_history_of_the_guard(between: str) -> None:
     """Whatever is written into them meanwhile: one flipped bit, and nothing fires until a reset."""
     bits = 8 * FFI.sizeof("fk_guard_t")
     mine = [

@@ -11,7 +11,7 @@ import pytest
 from tests.conftest import from_ci
 
 MAIN = """
-from frogkick.core.compiled import kept
+from frogkick.core.compiled import cached_njit
 from pack.{module} import Pair
 
 @{decorator}

@@ -221,7 +221,7 @@ def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
     assert frog.lines[0][1] == f"p {rig.tables().pulse_us // 1000}"
     assert fired >= 4 and len(frog.pulses) > fired
     assert violations(rig.robot(), pulses_of(session.edges, math.inf)) == []
-    # The line brought what the books say, in their order.
+    # What the line delivered is what the log has, in its order.
     booked = [(edge.time_s, edge.limb) for edge in session.edges if edge.level]
     masks = [sum(1 << limb for at, limb in booked if at == at_s) for at_s in sorted({at for at, _ in booked})]
     assert [limb_mask for _, limb_mask, _ in frog.pulses] == masks

@@ -21,9 +21,9 @@ from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, cost_of_transport, swim_chunks, swim_gaits
 from frogkick.validation.sweep import (
     Design,
-    Plan,
     Point,
     Sweep,
+    SweepPlan,
     by_cost,
     by_speed,
     paper_verdicts,
@@ -168,7 +168,7 @@ def made_up(rows: list[tuple[float, float, float, float, float]]) -> Sweep:
     designs = tuple(dict.fromkeys(Design(egain, hz) for egain, hz, *_ in rows))
     phases = tuple(sorted({phase for _, _, phase, _, _ in rows}))
     points = tuple(Point(Gait(egain, hz, phase), speed, cost) for egain, hz, phase, speed, cost in rows)
-    return Sweep(Plan(ROBOT, designs, phases, frozenset(), ()), points)
+    return Sweep(SweepPlan(ROBOT, designs, phases, frozenset(), ()), points)
 
 
 def test_phases_that_the_model_cannot_tell_apart_are_listed_nearest_to_half_a_cycle() -> None:

@@ -23,7 +23,7 @@ ALLOCATING: dict[str, Any] = {**INNER, "_nrt": True}
 """As INNER, for a function that allocates arrays."""
 
 
-def kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return numba's njit for a function that is cached on disk: ``@kept(**BARE)``.
 
     A cache of another version of frogkick may name types by modules that no longer exist. numba fails on such

@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple, get_type_hints
 
 COSTS: Mapping[str, str] = {
     "paper": "the paper's Eq. 19, as its authors ran it",
-    "route": "progress along the path as stage cost, course as terminal cost: route.c",
+    "route": "distance and progress as stage cost, course as terminal cost: route.c",
 }
 """Name in a robot's file -> meaning, as a comment in C. Its place is its number on the link."""
 
@@ -43,68 +43,68 @@ class Weights:
     meanings."""
 
     distance_weight_per_m: Annotated[float, Weight(
-        "cost of each m beside the path",
+        "cost per m of distance from the path",
         "x distance to the nearest path point (paper: 500), or to the path (route)",
         required=True,
     )] = 500.0  # fmt: skip
     angle_weight_per_rad: Annotated[float, Weight(
-        "cost of each rad off its direction",
-        "x angle between heading and path: its tangent there (paper: 50); route: the direction to its place "
-        "look_ahead_m further on, at a branch's end only",
+        "cost per rad of deviation from its direction",
+        "x angle between heading and path: its tangent there (paper: 50); route: between course and target "
+        "point look_ahead_m further on, at a branch's end only",
         required=True,
     )] = 50.0  # fmt: skip
     progress_weight: Annotated[float, Weight(
-        "of the published cost alone", "paper: x (1 - index / (count - 1)); paper: 300"
+        "used by the published cost only", "paper: x (1 - index / (count - 1)); paper: 300"
     )] = 300.0  # fmt: skip
     level_weight: Annotated[float, Weight(
-        "of the published cost alone",
+        "used by the published cost only",
         "paper: a level's cost x (1 + level_weight * levels below it); paper: 0.3",
     )] = 0.3  # fmt: skip
     progress_weight_per_m: Annotated[float, Weight(
-        "worth of each m along the path",
+        "cost per m by which a stroke advances less along the path than the longest one",
         "route: x how much less a motion advances than the table's longest stroke",
     )] = 0.0  # fmt: skip
     look_ahead_m: Annotated[float, Weight(
-        "m ahead on the path where its direction is taken",
-        "route: how far along the path a branch's end points",
+        "m along the path to the point that the robot's course is aimed at",
+        "route: how far along the path the course's target point lies",
     )] = 0.0  # fmt: skip
     soft_distance_m: Annotated[float, Weight(
-        "m beside the path within which a distance costs less",
-        "route: below it, distance counts by its square",
+        "m from the path; a smaller distance costs by its square",
+        "route: threshold of the Huber loss, below which distance counts by its square",
     )] = 0.0  # fmt: skip
     turn_lead: Annotated[float, Weight(
-        "how much farther than it turned a robot is taken to turn on, 0 to 2 times",
-        "route: x the last turn, by which the robot turns on",
+        "share of its last turn by which a robot is assumed to turn further, 0 to 2",
+        "route: x the last turn, by which the robot turns further",
         most=2.0,
     )] = 0.0  # fmt: skip
     course_weight_per_m: Annotated[float, Weight(
-        "how much the way that it goes counts beside where it points, for each m of its last stroke",
+        "weight of the last motion, per m of it, against the heading in the robot's course",
         "route: x the last motion; with the heading it is the course of a branch's end",
     )] = 0.0  # fmt: skip
     glide_weight_per_m: Annotated[float, Weight(
-        "cost of each m beside the path to which the robot glides on",
-        "route: x distance from the path to which a branch's end glides",
+        "cost per m of distance from the path where the robot glides to",
+        "route: x distance from the path of the point to which a branch's end glides",
     )] = 0.0  # fmt: skip
     glide_lead: Annotated[float, Weight(
-        "how many times as far as in its last stroke a robot is taken to glide on, 0 to 2 times",
-        "route: x the last motion, turned on, by which a branch's end glides on",
+        "share of its last motion by which a robot is assumed to glide further, 0 to 2",
+        "route: x the last motion, turned further, by which a branch's end glides",
         most=2.0,
     )] = 0.0  # fmt: skip
     wall_weight_per_m: Annotated[float, Weight(
-        "cost of each m that the robot's middle goes too far; 0: there are no walls",
-        "route: x how far a branch's end, and where it glides to, lie beyond the walls",
+        "cost per m that the robot's centre goes beyond the walls; 0: there are none",
+        "route: x how far a branch's end, and the point to which it glides, lie beyond the walls",
     )] = 0.0  # fmt: skip
     wall_glide: Annotated[float, Weight(
-        "how many times as far as in its last stroke a robot is taken to glide on towards a wall",
-        "route: x the last motion, by which the robot glides on",
+        "share of its last motion by which a robot is assumed to glide towards a wall",
+        "route: x the last motion, by which the robot glides towards a wall",
         most=100.0,
     )] = 0.0  # fmt: skip
     wall_x_min_m: Annotated[
-        float, _place("m, world: least x of the robot's middle", "route: where its middle may be, world")
+        float, _place("m, world: least x of the robot's centre", "route: where its centre may be, world")
     ] = -1000.0
-    wall_x_max_m: Annotated[float, _place("m, world: largest x of the robot's middle", "likewise")] = 1000.0
-    wall_y_min_m: Annotated[float, _place("m, world: least y of the robot's middle", "likewise")] = -1000.0
-    wall_y_max_m: Annotated[float, _place("m, world: largest y of the robot's middle", "likewise")] = 1000.0
+    wall_x_max_m: Annotated[float, _place("m, world: largest x of the robot's centre", "likewise")] = 1000.0
+    wall_y_min_m: Annotated[float, _place("m, world: least y of the robot's centre", "likewise")] = -1000.0
+    wall_y_max_m: Annotated[float, _place("m, world: largest y of the robot's centre", "likewise")] = 1000.0
 
 
 WEIGHTS: Mapping[str, Weight] = {

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from frogkick.core.arrays import Float64
-from frogkick.core.compiled import INNER, kept
+from frogkick.core.compiled import INNER, cached_njit
 from frogkick.core.poses import body_from_world
 from frogkick.der.lanes import SimdArray, get, put
 from frogkick.der.mesh import Mesh
@@ -72,7 +72,7 @@ def set_sums(mesh: Mesh, x_m: SimdArray, v_mps: SimdArray, row: int, sums: SimdA
     put(sums, row, 9, mean_y / (1.0 * nodes))
 
 
-@kept(error_model="numpy")
+@cached_njit(error_model="numpy")
 def body_motion(sums: Float64) -> Float64:
     """Return poses and velocities from rows of ``set_sums``.
 

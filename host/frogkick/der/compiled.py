@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from frogkick.core.compiled import BARE, kept, stamp_of
+from frogkick.core.compiled import BARE, cached_njit, stamp_of
 from frogkick.der import body, stepping
 
 
 def _compiled(stamp: int) -> tuple[Any, Any, Any]:
-    @kept(**BARE)
+    @cached_njit(**BARE)
     def run_steps(  # type: ignore[no-untyped-def]
         mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
     ):
@@ -20,12 +20,12 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
             mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
         )
 
-    @kept(**BARE)
+    @cached_njit(**BARE)
     def set_accelerations(mesh, work, nodes, active, water):  # type: ignore[no-untyped-def]
         stepping.set_accelerations(mesh, work, nodes, active, water)
         return stamp
 
-    @kept(**BARE)
+    @cached_njit(**BARE)
     def set_sums(mesh, x_m, v_mps, row, sums):  # type: ignore[no-untyped-def]
         body.set_sums(mesh, x_m, v_mps, row, sums)
         return stamp

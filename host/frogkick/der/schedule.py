@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from frogkick.core.arrays import Bool, Float64, Int64
-from frogkick.core.compiled import kept
+from frogkick.core.compiled import cached_njit
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import Actuation
@@ -206,7 +206,7 @@ def _side_by_side(rows: Sequence[Float64]) -> tuple[Float64, Int64]:
     return every, sizes
 
 
-@kept(error_model="numpy")
+@cached_njit(error_model="numpy")
 def lane_times(
     now_s: Float64,
     until_s: Float64,
@@ -262,7 +262,7 @@ def lane_times(
     return times, counts
 
 
-@kept(error_model="numpy")
+@cached_njit(error_model="numpy")
 def lay_out(
     times: Float64,
     counts: Int64,
@@ -299,7 +299,7 @@ def lay_out(
                 active[k, 2 * limb + 1, lane] = profiles.drop_per_m[lane] * found[k, limb]
 
 
-@kept(error_model="numpy")
+@cached_njit(error_model="numpy")
 def step_times(
     time_s: float,
     until_s: float,
@@ -343,7 +343,7 @@ def step_times(
     return ends[:count].copy()
 
 
-@kept(error_model="numpy")
+@cached_njit(error_model="numpy")
 def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
     """Return the time in the measured stroke that corresponds to a time in a stroke of another duration."""
     if scale == 1.0 or since_s <= peak_s:
@@ -351,7 +351,7 @@ def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
     return peak_s + (since_s - peak_s) / scale
 
 
-@kept(error_model="numpy")
+@cached_njit(error_model="numpy")
 def stroke_activation(
     times_s: Float64, strokes: Float64, table: Float64, table_step_s: float, peak_s: float
 ) -> Float64:

@@ -28,7 +28,7 @@ Stage = tuple[Sequence[Program], Float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class SwimTrace:
     """The motion of a simulation from its first to its last stage, step by step."""
 
     time_s: Float64  # (n,) 0 and the ends of all time steps
@@ -48,7 +48,7 @@ def simulate_stages(
     *,
     step_s: float = STEP_S,
     width: int = WIDTH,
-) -> list[Track | Failure]:
+) -> list[SwimTrace | Failure]:
     """Simulate robots from the world's origin, limbs at rest, ``width`` at a time, through all stages.
 
     Args:
@@ -56,7 +56,7 @@ def simulate_stages(
         velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at the start.
         step_s: finest time step.
     """
-    found: list[Track | Failure] = []
+    found: list[SwimTrace | Failure] = []
     for first in range(0, len(rods), width):
         some = slice(first, first + width)
         velocity = velocity_body[some]
@@ -72,8 +72,8 @@ def simulate_stages(
                 rows[lane].append(motion)
         for lane in range(batch.lanes):
             stage_end = np.cumsum([len(times) for times in ends[lane]]) - 1
-            track = Track(np.concatenate(ends[lane]), np.concatenate(rows[lane]), stage_end)
-            found.append(batch.failures.get(lane, track))
+            trace = SwimTrace(np.concatenate(ends[lane]), np.concatenate(rows[lane]), stage_end)
+            found.append(batch.failures.get(lane, trace))
     return found
 
 
@@ -128,12 +128,12 @@ def simulate_many(
     speed = np.full_like(pose, np.nan)
     failures: dict[int, Failure] = {}
     stage = programs, np.full(len(programs), times[-1])
-    tracks = simulate_stages([rods] * len(programs), velocity, [stage], step_s=step_s, width=width)
-    for k, track in enumerate(tracks):
-        if isinstance(track, Failure):
-            failures[k] = track
+    swim_traces = simulate_stages([rods] * len(programs), velocity, [stage], step_s=step_s, width=width)
+    for k, trace in enumerate(swim_traces):
+        if isinstance(trace, Failure):
+            failures[k] = trace
         else:
-            pose[k], speed[k] = interpolate(track.time_s, track.motion, times)
+            pose[k], speed[k] = interpolate(trace.time_s, trace.motion, times)
     return Motions(pose, speed, failures)
 
 
@@ -283,32 +283,32 @@ def simulate_gaits(
         raise InputError(f"cycles is {cycles}: give 1 to {CYCLES_MAX}")
     body = rods_of(robot)
     some = [replace(body, actuation=robot.actuation(gait.egain_percent, gait.frequency_hz)) for gait in gaits]
-    tracks = simulate_gait_tracks(some, gaits, cycles, step_s=step_s, width=width)
+    swim_traces = simulate_gait_traces(some, gaits, cycles, step_s=step_s, width=width)
     last = min(cycles, 8)
     counted = min(last, 3)
     pulses = cycles * (robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count())
     found: list[Trajectory | Failure] = []
-    for gait, track in zip(gaits, tracks, strict=True):
-        if isinstance(track, Failure):
-            found.append(track)
+    for gait, trace in zip(gaits, swim_traces, strict=True):
+        if isinstance(trace, Failure):
+            found.append(trace)
             continue
         period_s = 1.0 / gait.frequency_hz
-        mean_m = track.node_mean_m[track.stage_end]
+        mean_m = trace.node_mean_m[trace.stage_end]
         speed = float(mean_m[last] - mean_m[last - counted]) / (counted * period_s)
         time_s = sample_times(period_s, cycles)
-        pose, velocity = interpolate(track.time_s, track.motion, time_s)
+        pose, velocity = interpolate(trace.time_s, trace.motion, time_s)
         found.append(trajectory_of(time_s, pose, velocity, speed, pulses * robot.pulse_energy_j, robot))
     return found
 
 
-def simulate_gait_tracks(
+def simulate_gait_traces(
     rods: Sequence[Rods],
     gaits: Sequence[Gait],
     cycles: int,
     *,
     step_s: float = STEP_S,
     width: int = WIDTH,
-) -> list[Track | Failure]:
+) -> list[SwimTrace | Failure]:
     """Simulate gaits with phases in [0, 1) from rest, heading along world x; each cycle is a stage.
 
     Args:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from frogkick.core.arrays import Float32, Int64
-from frogkick.core.compiled import kept, stamp_of
+from frogkick.core.compiled import cached_njit, stamp_of
 from frogkick.estimator.profile import Profile, profile_after, profile_within, weighted
 from frogkick.estimator.wear import HELD, OFF, ON, WearFilter
 from frogkick.planner import floats
@@ -40,11 +40,11 @@ PERIOD_LEAST_US = 50_000
 _F = np.float32
 _MICROSECOND = _F(1e-6)
 _TIME_MAX_US = 2**32 - 1
-_PULL, _REMAINS, _APART, _RESTING = _F(0.8), _F(0.7), _F(0.2), _F(0.0625)
+_F_POSE, _F_SPEED, _APART, _RESTING = _F(0.8), _F(0.7), _F(0.2), _F(0.0625)
 _SHAPE_OF_NOISE_S2, _SHAPE_COMMON = _F(0.0064), _F(0.3)
 _INFLATION = _F(4)
 _SPEED_MOST = _F(1000)
-_GATE, _EVERYWHERE = _F(25), _F(1e30)
+_GATE, _GATE_OPEN = _F(25), _F(1e30)
 _INFORMED, _RATIO_MOST = _F(0.5), _F(9)
 _LEARN_PARTS = (_F(0.5), _F(0.33333334), _F(0.25), _F(0.2))
 _LOWER = np.tri(2 * INSTANTS, dtype=bool)
@@ -126,7 +126,7 @@ class Track:
         self._predicted = np.zeros(3, dtype=np.float32)
         self._predicted_variance = np.zeros(2, dtype=np.float32)
         self._learned = 0
-        self._teaches = False
+        self._prediction_valid = False
 
     def inflate(self) -> None:
         """Quadruple the process noise: the robot was not where it had been predicted."""
@@ -143,7 +143,7 @@ class Track:
             if self.wear.held:
                 self.wear.restart(self.wear.codes.tolist())
         elif self.wear is not None:
-            self._teaches = False  # the current period was predicted with the wear that is forgotten
+            self._prediction_valid = False  # the current period was predicted with the wear that is forgotten
             self.wear = None
             self._use(self._original)
 
@@ -176,13 +176,13 @@ class Track:
         if not self.instants:
             self._begin(at_us, action, coasted=False)
             return
-        if len(self.instants) > 2 and self._is_hasty(at_us):
+        if len(self.instants) > 2 and self._coasted_too_soon(at_us):
             self._undo()
-            self._teaches = False
+            self._prediction_valid = False
         if at_us < self.instants[-2].time_us + PERIOD_LEAST_US:
             self._undo()
         else:
-            if self._teaches and not self.instants[-2].coasted:
+            if self._prediction_valid and not self.instants[-2].coasted:
                 if self.wear is not None:
                     self._learn_wear(self.wear)
                 self._learn()
@@ -192,7 +192,7 @@ class Track:
 
     def limb_use(self, at_us: int) -> Int64:
         """Return (8,) the recent use of each limb, for an action that starts at a time."""
-        return self.instants[-2 if self._is_hasty(at_us) else -1].limb_use
+        return self.instants[-2 if self._coasted_too_soon(at_us) else -1].limb_use
 
     def state(self, at_us: int) -> tuple[Float32, Float32]:
         """Return pose (3,) and speed (3,), world frame, at a time that is not before the oldest instant."""
@@ -215,7 +215,7 @@ class Track:
         error_share2 = profile.error_share * profile.error_share
         shape = (_SHAPE + _SHAPE_OF_NOISE_S2 * self.process_noise) * error_share2
         variance = expected + (_FIX + shape * (_F(1) + _SHAPE_COMMON * _F(period.fixes)))
-        gate = _GATE * (variance + _GATE_MORE) if gated else np.full(2, _EVERYWHERE)
+        gate = _GATE * (variance + _GATE_MORE) if gated else np.full(2, _GATE_OPEN)
         square = innovation * innovation
         if not (square[0] + square[1] <= gate[0] and square[2] <= gate[1]):
             return False
@@ -235,12 +235,12 @@ class Track:
         for index in range(len(self.instants) - 1):
             self.instants[index].fixes = 0
             self._predict(index)
-        self._teaches = False
+        self._prediction_valid = False
         off = pose - weighted(profile.pose, self.mean[:, :4])
         self.mean[:, 0::2] = self.mean[:, 0::2] + off[:, None]
         self.update(at_us, pose, gated=False)
 
-    def _is_hasty(self, at_us: int) -> bool:
+    def _coasted_too_soon(self, at_us: int) -> bool:
         """Return whether the current period coasts only because the action of this time came later."""
         return self.instants[-2].coasted and at_us < self.instants[-2].time_us + COAST_US
 
@@ -248,7 +248,7 @@ class Track:
         self.instants = [_Instant(int(at_us), np.zeros(LIMBS_MAX, dtype=np.int64))]
         self._unknown(np.zeros(3, dtype=np.float32))
         self._open(action, coasted)
-        self._teaches = False
+        self._prediction_valid = False
 
     def _unknown(self, pose: Float32) -> None:
         self.mean = np.stack([pose, np.zeros(3, dtype=np.float32)], axis=1)
@@ -270,7 +270,7 @@ class Track:
         last = self.instants[-1]
         last.action, last.coasted, last.fixes = int(action), coasted, 0
         self.instants.append(_Instant(last.time_us + self.tables.period_us, last.limb_use))
-        self._teaches = True
+        self._prediction_valid = True
         self._predict(len(self.instants) - 2)
 
     def _predict(self, index: int) -> None:
@@ -283,7 +283,7 @@ class Track:
         forward, left = cosine * speed[0] + sine * speed[1], cosine * speed[1] - sine * speed[0]
         velocity = np.array([forward, left, speed[2]], dtype=np.float32)
         velocity[~(np.abs(velocity) <= _SPEED_MOST)] = 0  # also NaN
-        motion, velocity, after.limb_use = self._ask_table(velocity, here.limb_use, here.action, period_s)
+        motion, velocity, after.limb_use = self._look_up(velocity, here.limb_use, here.action, period_s)
         new = np.empty((3, 2), dtype=np.float32)
         new[0, 0] = pose[0] + (cosine * motion[0] - sine * motion[1])
         new[1, 0] = pose[1] + (sine * motion[0] + cosine * motion[1])
@@ -298,26 +298,26 @@ class Track:
         process_noise = (
             _RESTING * self.process_noise if here.action == self.resting_action else self.process_noise
         )
-        pull_s, apart_s = _PULL * period_s, _APART * period_s
+        pose_gain_s, apart_s = _F_POSE * period_s, _APART * period_s
         size = 2 * index + 2
         grown = np.zeros((2, size + 2, size + 2), dtype=np.float32)
         grown[:, :size, :size] = known = self.covariance[:, :size, :size]
-        poses = known[:, :, -2] + pull_s * known[:, :, -1]
-        speeds = _REMAINS * known[:, :, -1]
+        poses = known[:, :, -2] + pose_gain_s * known[:, :, -1]
+        speeds = _F_SPEED * known[:, :, -1]
         grown[:, :size, size] = grown[:, size, :size] = poses
         grown[:, :size, size + 1] = grown[:, size + 1, :size] = speeds
-        both = (speeds[:, -2] + pull_s * speeds[:, -1]) + (_REMAINS * pull_s) * process_noise
-        grown[:, size, size] = (poses[:, -2] + pull_s * poses[:, -1]) + (
-            pull_s * pull_s + apart_s * apart_s
+        both = (speeds[:, -2] + pose_gain_s * speeds[:, -1]) + (_F_SPEED * pose_gain_s) * process_noise
+        grown[:, size, size] = (poses[:, -2] + pose_gain_s * poses[:, -1]) + (
+            pose_gain_s * pose_gain_s + apart_s * apart_s
         ) * process_noise
         grown[:, size, size + 1] = grown[:, size + 1, size] = both
         grown[:, size + 1, size + 1] = (
-            _REMAINS * speeds[:, -1] + (_REMAINS * _REMAINS + _APART * _APART) * process_noise
+            _F_SPEED * speeds[:, -1] + (_F_SPEED * _F_SPEED + _APART * _APART) * process_noise
         )
         self.covariance = grown
         self._predicted_variance = grown[:, size, size].copy()
 
-    def _ask_table(
+    def _look_up(
         self, velocity: Float32, limb_use: Int64, action: int, period_s: np.float32
     ) -> tuple[Float32, Float32, Int64]:
         """Return the motion in the body frame, and the velocity and the limb use a period later."""
@@ -388,7 +388,7 @@ class Track:
 
 
 def _compiled(stamp: int) -> Any:
-    @kept()
+    @cached_njit()
     def transition(table, velocity, per_velocity, limb_use, action, motion, after):  # type: ignore[no-untyped-def]
         dynamics = np.zeros(DYNAMICS, dtype=np.int64)
         for axis in range(3):

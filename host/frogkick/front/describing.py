@@ -15,7 +15,7 @@ from frogkick.core.files import require_writable, write_text
 from frogkick.der import prepare
 from frogkick.effects import effects_of
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
-from frogkick.robot.profile import Profile, Stroke, fit_stroke, read_stroke, write_profiles
+from frogkick.robot.profile import MeasuredStroke, Profile, fit_stroke, read_stroke, write_profiles
 from frogkick.robot.template import new_robot_text
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | Non
 class FittedStrokes:
     """Measured strokes, and the profile that was fitted to each."""
 
-    strokes: Sequence[Stroke]
+    strokes: Sequence[MeasuredStroke]
     profiles: Sequence[Profile]
 
     def as_json(self) -> dict[str, Any]:

@@ -34,7 +34,14 @@ from frogkick.validation.sweep import (
     rank_gaits,
     run_sweep,
 )
-from frogkick.validation.validate import ExperimentResult, Noise, Requirement, Result, Validation, noise_of
+from frogkick.validation.validate import (
+    ExperimentResult,
+    Requirement,
+    Result,
+    SpeedNoise,
+    Validation,
+    noise_of,
+)
 from frogkick.validation.validate import validate as swim_and_compare
 
 __all__ = ["Point", "Swept", "Validated", "sweep", "validate"]
@@ -58,7 +65,7 @@ class Validated:
     """
 
     validation: Validation
-    noise: Noise
+    noise: SpeedNoise
     matched: Matched | None = None
 
     @property

@@ -194,11 +194,11 @@ class _Rendezvous:
             if self._error is not None:
                 raise self._error
             if waiting:
-                self._follow_all(waiting)
+                self._roll_out_all(waiting)
             elif not done and not self.busy:
                 return
 
-    def _follow_all(self, waiting: Sequence[_Request]) -> None:
+    def _roll_out_all(self, waiting: Sequence[_Request]) -> None:
         lanes = [lane for request in waiting for lane in request.lanes]
         begun_s = cpu_s()
         try:
@@ -228,5 +228,5 @@ class _Rendezvous:
             self._change.notify_all()
 
 
-_RENDEZVOUS: ContextVar[_Rendezvous | None] = ContextVar("meeting", default=None)
-_REQUEST: ContextVar[_Request | None] = ContextVar("asked", default=None)
+_RENDEZVOUS: ContextVar[_Rendezvous | None] = ContextVar("rendezvous", default=None)
+_REQUEST: ContextVar[_Request | None] = ContextVar("request", default=None)

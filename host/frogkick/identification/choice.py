@@ -62,21 +62,21 @@ def found_in(
         found = search(data, fitted, candidates, progress)
         if not known or _verdict(found) in (FOUND, NOTHING):
             return found
-    relative = _relative(nominal, list(known.values()), progress, measured)
-    if relative is None:
+    calibrated = _calibrated(nominal, list(known.values()), progress, measured)
+    if calibrated is None:
         return found or search(data, fitted, candidates, progress)
-    if _verdict(relative) == FOUND:
-        return relative
+    if _verdict(calibrated) == FOUND:
+        return calibrated
     if found is None:
-        both = _scored(relative)
+        both = _scored(calibrated)
         pairs = zip(both.before.pair, both.after.pair, strict=True)
         if many or all(left <= NEARER * plain for plain, left in pairs):
             found = _search_in_part(nominal, robot, candidates, progress)
-            return found if _verdict(found) == FOUND else relative
+            return found if _verdict(found) == FOUND else calibrated
         found = search(data, fitted, candidates, progress)
-    dear = PARAMETER_PENALTY * relative.fitted.model.free_count
+    dear = PARAMETER_PENALTY * calibrated.fitted.model.free_count
     searched = best_end_deviance(found.fitted, train)
-    return relative if end_deviance(relative.fitted.rollouts, train) + dear < searched else found
+    return calibrated if end_deviance(calibrated.fitted.rollouts, train) + dear < searched else found
 
 
 def discovered(found: Found, robot: Robot, progress: TellStage) -> Found:
@@ -204,7 +204,7 @@ def _penalised(found: Found) -> float:
     return plain + EFFECT_PENALTY * len(fitted.model.terms) + PARAMETER_PENALTY * fitted.model.free_count
 
 
-def _relative(
+def _calibrated(
     nominal: Found, known: Sequence[Sequence[Term]], progress: TellStage, measured: bool = True
 ) -> Found | None:
     """The calibrated start that fits best; None if all explain too little for their number of effects."""

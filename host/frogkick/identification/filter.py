@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from frogkick.core.arrays import Float64
-from frogkick.core.compiled import kept
+from frogkick.core.compiled import cached_njit
 
 HUBER_SIGMA = 5.0  # threshold of the Huber loss of innovations, in standard deviations
 
@@ -107,7 +107,7 @@ class Filter:
         return offset, rate
 
 
-@kept()
+@cached_njit()
 def _predict_to(
     error: Float64,
     covariance: Float64,
@@ -133,7 +133,7 @@ def _predict_to(
     return time_s
 
 
-@kept()
+@cached_njit()
 def _update_all(
     error: Float64,
     covariance: Float64,
@@ -180,7 +180,7 @@ def deviances(series: Series, fix_std: Float64, idle_std: Float64, actuated_std:
     return np.asarray(_deviances(dts, actuation, series.difference, series.rate_std**2, noises))
 
 
-@kept()
+@cached_njit()
 def _deviances(
     dts: Float64, actuation: Float64, differences: Float64, rate: float, noises: Float64
 ) -> Float64:
@@ -214,7 +214,7 @@ def _deviances(
 
 
 NOISE_BOUNDS = (
-    ((5e-5, 2e-5, 2e-5), (5e-3, 2e-2, 5e-2)),  # x, y: fix, calm, kick at least and at most
+    ((5e-5, 2e-5, 2e-5), (5e-3, 2e-2, 5e-2)),  # x, y: least and largest of fix, idle, actuated
     ((5e-4, 5e-4, 5e-4), (5e-2, 1.0, 3.0)),  # heading
 )
 

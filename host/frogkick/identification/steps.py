@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from frogkick.core.arrays import Bool, Float64, Int64
-from frogkick.core.compiled import kept
+from frogkick.core.compiled import cached_njit
 
 DOF = 4.0  # degrees of freedom of the density of residuals: strokes have heavier tails than a normal density
 CONVERGED = 0.2  # a fit has converged where the deviance falls by less
@@ -69,7 +69,7 @@ def _maximum_likelihood_scale(residuals: Float64) -> tuple[Float64, float]:
     return scale, float(deviance + count * _constant(width))
 
 
-@kept()
+@cached_njit()
 def _em_scale(residuals: Float64, least: Float64, dof: float, exact: float) -> tuple[Float64, float]:
     """Scale matrix of least deviance by parameter-expanded EM, regularised, and that deviance."""
     count, width = residuals.shape

@@ -10,7 +10,7 @@ from frogkick.library.build import (
     sample_library,
     truncate_library,
 )
-from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, default_table, error_on, fit_table
+from frogkick.library.fitting import BUDGET_BYTES, KINDS, FittedTable, default_table, error_on, fit_table
 from frogkick.library.sampling import SAMPLINGS, sample_starts
 from frogkick.library.store import (
     Library,
@@ -24,7 +24,7 @@ from frogkick.library.store import (
 from frogkick.library.transitions import Failed
 
 __all__ = [
-    "BUDGET_BYTES", "KINDS", "RECORD_S", "SAMPLINGS", "Failed", "Fitted", "Library", "Recorded",
+    "BUDGET_BYTES", "KINDS", "RECORD_S", "SAMPLINGS", "Failed", "FittedTable", "Library", "Recorded",
     "build_library", "checkpoint_folder", "default_table", "error_on", "fit_table", "library_info",
     "quantise", "read_library", "read_recorded", "sample_library", "sample_starts", "truncate_library",
     "write_library",

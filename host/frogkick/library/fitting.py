@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
-from frogkick.core.compiled import kept, stamp_of
+from frogkick.core.compiled import cached_njit, stamp_of
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import wrap_angle
 from frogkick.core.progress import Tell
@@ -94,7 +94,7 @@ def looked_up(tables: Tables, velocities: Float64, previous: Int64) -> Float64:
 
 
 def _compiled(stamp: int) -> Any:
-    @kept()
+    @cached_njit()
     def look_up_many(table, velocities, previous, found):  # type: ignore[no-untyped-def]
         one = np.float32(1)
         now, after = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(DYNAMICS, dtype=np.int64)
@@ -123,7 +123,7 @@ _look_up_many = _compiled(stamp_of("frogkick.planner"))
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedTable:
     """A table fitted to a library.
 
     Attributes:
@@ -144,7 +144,7 @@ def fit_table(
     kind: str | None = None,
     budget_bytes: int | None = None,
     progress: Progress = lambda _done, _all: None,
-) -> Fitted:
+) -> FittedTable:
     """The table with the least error on held-out states of a library.
 
     A table of kind "nearest" has all states of the library if they fit into the budget, as in the paper.
@@ -159,7 +159,7 @@ def fit_table(
     asked = KINDS if kind is None else (kind,)
     fit = _Fit(library)
     tries = [(each, coarseness) for each in asked for coarseness in _COARSENESS[each]]
-    best: Fitted | None = None
+    best: FittedTable | None = None
     refused: InputError | None = None
     for tried, (each, coarseness) in enumerate(tries):
         progress(tried, len(tries))
@@ -209,14 +209,14 @@ class _Fit:
         return fit_surface(self._robot, seen.initial_velocity_body, seen.rows(), seen.previous_actions)
 
     @cached_property
-    def _whole_table(self) -> Fitted:
+    def _whole_table(self) -> FittedTable:
         """The table of all states, scored by a table of those that are not held out."""
         image = quantise(self._library)
         if not len(self._held):
-            return Fitted(image, "nearest", {}, math.inf)
+            return FittedTable(image, "nearest", {}, math.inf)
         return replace(self._scored("nearest", quantise(self._seen)), image=image)
 
-    def table(self, kind: str, coarseness: float, budget_bytes: int | None) -> Fitted:
+    def table(self, kind: str, coarseness: float, budget_bytes: int | None) -> FittedTable:
         """The table of a kind with as many states as fit, with a multiple of the default rounding."""
         if kind == "nearest" and (budget_bytes is None or len(self._whole_table.image) <= budget_bytes):
             return self._whole_table
@@ -268,10 +268,10 @@ class _Fit:
             limb_wear=self._library.limb_wear,
         )
 
-    def _scored(self, kind: str, image: bytes) -> Fitted:
+    def _scored(self, kind: str, image: bytes) -> FittedTable:
         gap = _gap(open_image(image), self._library.part(self._held))
         score = float(np.sqrt(np.mean((gap / noise_of(self._robot)) ** 2)))
-        return Fitted(image, kind, _rms(gap), score)
+        return FittedTable(image, kind, _rms(gap), score)
 
 
 def _between(codes: Float64, count: int) -> Float64:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frogkick.core.compiled import BARE, kept
+from frogkick.core.compiled import BARE, cached_njit
 
 ANGLE_MAX_RAD = np.float32(2100)
 
@@ -32,7 +32,7 @@ _C1 = np.float32(-0.00138873595)
 _C2 = np.float32(2.44375333e-05)
 
 
-@kept(**BARE)
+@cached_njit(**BARE)
 def wrap_angle(angle: np.float32) -> np.float32:
     """Wrap an angle to (-pi, pi]; NaN beyond +-2100 rad."""
     if not (abs(angle) <= ANGLE_MAX_RAD):
@@ -48,7 +48,7 @@ def wrap_angle(angle: np.float32) -> np.float32:
     return min(wrapped, _PI)
 
 
-@kept(**BARE)
+@cached_njit(**BARE)
 def sincos(angle: np.float32) -> tuple[np.float32, np.float32]:
     """Return (sine, cosine) of an angle in rad; NaN beyond +-2100 rad."""
     if not (abs(angle) <= ANGLE_MAX_RAD):

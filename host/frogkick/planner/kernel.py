@@ -33,7 +33,7 @@ import numpy as np
 from numba import njit
 
 from frogkick.core.arrays import AnyArray
-from frogkick.core.compiled import ALLOCATING, BARE, INNER, kept, stamp_of
+from frogkick.core.compiled import ALLOCATING, BARE, INNER, cached_njit, stamp_of
 from frogkick.core.weights import COSTS, WEIGHTS
 from frogkick.planner import costs
 from frogkick.planner.floats import sincos, wrap_angle
@@ -429,7 +429,7 @@ def plan_one(
 
 
 def _compiled(stamp: int) -> Any:
-    @kept()
+    @cached_njit()
     def plan_many(table, path, settings, depths, states, limb_use, along, rows):  # type: ignore[no-untyped-def]
         for k in range(len(states)):
             plan_one(table, path, settings, depths[k], states[k], limb_use[k], along[k], rows[k])

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from frogkick.core.arrays import AnyArray
-from frogkick.core.compiled import BARE, INNER, kept
+from frogkick.core.compiled import BARE, INNER, cached_njit
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, VELOCITY_CODE_MAX
 
@@ -61,7 +61,7 @@ def arrays_of(tables: Tables) -> TableArrays:
     )
 
 
-@kept(**BARE)
+@cached_njit(**BARE)
 def velocity_code(velocity: np.float32, codes_per_velocity: np.float32) -> Any:
     """Return a velocity as a code, rounded half away from zero, clamped to +-16383."""
     code = velocity * codes_per_velocity
@@ -93,7 +93,7 @@ def action_count(table: TableArrays) -> int:
     return int(table.transitions.shape[1])
 
 
-@kept(**BARE)
+@cached_njit(**BARE)
 def find_row(table: TableArrays, dynamics: AnyArray) -> int:
     """The row that a state with these dynamics is looked up in: the nearest to its velocity, clamped."""
     code_0 = min(max(dynamics[0], table.least[0]), table.most[0])
@@ -126,7 +126,7 @@ def _value(table: TableArrays, row: int, dynamics: AnyArray, action: int, value:
     return -limit if code < -limit else code
 
 
-@kept(**BARE)
+@cached_njit(**BARE)
 def motion_of(table: TableArrays, row: int, dynamics: AnyArray, action: int, motion: AnyArray) -> None:
     """Write the motion (3,) float32 m, m, rad over one period, in the body frame at its start."""
     for axis in range(3):
@@ -134,7 +134,7 @@ def motion_of(table: TableArrays, row: int, dynamics: AnyArray, action: int, mot
         motion[axis] = np.float32(code) * table.motion_scale[axis]
 
 
-@kept(**BARE)
+@cached_njit(**BARE)
 def limb_use_after(table: TableArrays, use: AnyArray, action: int, after: AnyArray) -> None:
     """Write how much each limb was used lately, (LIMBS_MAX,), after an action: 0 for limbs not there."""
     after[:] = 0
@@ -143,7 +143,7 @@ def limb_use_after(table: TableArrays, use: AnyArray, action: int, after: AnyArr
         after[limb] = min(left + table.fires[action, limb] * table.use[1], 32767)
 
 
-@kept(**BARE)
+@cached_njit(**BARE)
 def dynamics_after(table: TableArrays, row: int, dynamics: AnyArray, action: int, after: AnyArray) -> None:
     """Write the dynamics (DYNAMICS,) at the period's end."""
     for axis in range(3):

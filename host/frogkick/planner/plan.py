@@ -78,7 +78,7 @@ class PlanConfig(Weights):
     transitions_max: int = 0
 
     def weights(self) -> Float32:
-        """Weights, lengths and places as (14,) float32, in the order of ``fk_plan_config_t``."""
+        """All weights as (w,) float32, in the order of ``WEIGHTS`` and ``fk_plan_config_t``."""
         return _float32([getattr(self, name) for name in WEIGHTS])
 
     def settings(self) -> Any:

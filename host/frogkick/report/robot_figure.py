@@ -17,7 +17,7 @@ from frogkick.der import prepare
 from frogkick.der.mesh import Mesh
 from frogkick.report import style
 from frogkick.robot import Robot, in_a_row, limb_points
-from frogkick.robot.profile import Profile, Stroke
+from frogkick.robot.profile import MeasuredStroke, Profile
 
 
 def robot_figure(robot: Robot) -> Figure:
@@ -53,8 +53,8 @@ def actions_figure(robot: Robot, ends: Float64) -> Figure:
     rows = -(-len(robot.actions) // columns)
     outline = 1e3 * np.array([*robot.frame.corners_m, robot.frame.corners_m[0]])
     rest = [1e3 * limb_points(robot.frame, limb) for limb in robot.limbs]
-    fall_per_m = robot.actuation().drop_per_m
-    active = [1e3 * limb_points(robot.frame, limb, fall_per_m) for limb in robot.limbs]
+    drop_per_m = robot.actuation().drop_per_m
+    active = [1e3 * limb_points(robot.frame, limb, drop_per_m) for limb in robot.limbs]
     points = np.vstack([outline, *rest, *active])
     low, high = points.min(axis=0) - 5.0, points.max(axis=0) + 5.0
     with style.new_figure(1.9 * columns, 2.3 * rows) as figure:
@@ -121,14 +121,14 @@ def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
 
 
 def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
-    fall_per_m = robot.actuation().drop_per_m
+    drop_per_m = robot.actuation().drop_per_m
     node = mesh.frame_nodes
     corner_node = np.concatenate([[0], np.cumsum(robot.frame.segments)[:-1]])
     for index, limb in enumerate(robot.limbs):
         root = corner_node[limb.corner]
         rest = nodes_mm[[root, *range(node, node + limb.segments)]]
         node += limb.segments
-        active = 1e3 * limb_points(robot.frame, limb, fall_per_m)
+        active = 1e3 * limb_points(robot.frame, limb, drop_per_m)
         _line(axes, active, ".-", color=style.ALARM, markersize=3, linewidth=1.2)
         _line(axes, rest, ".-", color=style.TRUE, markersize=4, linewidth=2.0)
         _line(axes, rest[-1:], "o", color=style.TRUE, markersize=5, markerfacecolor="white")
@@ -172,7 +172,7 @@ def _legend(robot: Robot) -> list[Line2D]:
     return [Line2D([], [], label=label, **look) for label, look in entries.items()]
 
 
-def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Figure:
+def stroke_figure(strokes: Sequence[MeasuredStroke], profiles: Sequence[Profile]) -> Figure:
     """Draw each measured stroke and the profile that was fitted to it."""
     with style.new_figure(8.0, 1.0 + 2.4 * len(strokes)) as figure:
         rows = figure.subplots(len(strokes), 1, squeeze=False, sharex=True)[:, 0]

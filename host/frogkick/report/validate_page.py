@@ -20,9 +20,9 @@ from frogkick.validation.validate import (
     SPEED_LIMITS_MPS,
     WITHIN_CYCLE_LIMIT_M,
     ExperimentResult,
-    Noise,
     Result,
     SimulationResult,
+    SpeedNoise,
     Validation,
 )
 
@@ -31,7 +31,7 @@ AUTHORS = "#56b4e9"  # of the same palette, for the authors' simulation
 AUTHORS_LABEL = "authors' simulation"
 
 
-def write_validation_report(target: Path, validation: Validation, noise: Noise) -> None:
+def write_validation_report(target: Path, validation: Validation, noise: SpeedNoise) -> None:
     """Write the report of ``validate`` as one HTML file."""
     speed = validation.speed_rmse_mps
     lead = (
@@ -198,7 +198,7 @@ def _waves(validation: Validation) -> Section:
     return Section("Within a cycle", images=[(figure, caption)])
 
 
-def _experiments(validation: Validation, noise: Noise) -> Section:
+def _experiments(validation: Validation, noise: SpeedNoise) -> Section:
     swims = validation.experiments
     ours, authors = validation.speed_rmse_mps, validation.authors_rmse_mps
     table = Table.of(
@@ -230,7 +230,7 @@ def _experiments(validation: Validation, noise: Noise) -> Section:
     return Section("Against measurement", text, table, [(_scatter(swims, noise), caption)])
 
 
-def _scatter(swims: Sequence[ExperimentResult], noise: Noise) -> Figure:
+def _scatter(swims: Sequence[ExperimentResult], noise: SpeedNoise) -> Figure:
     with style.new_figure(6.2, 5.4) as figure:
         axes = figure.subplots()
         measured = np.array([1e3 * r.reference.speed_mps for r in swims])

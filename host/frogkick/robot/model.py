@@ -33,12 +33,12 @@ def outline_of(frame: Frame) -> Float64:
     return np.array([*frame.corners_m, frame.corners_m[0]])
 
 
-def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> Float64:
+def limb_points(frame: Frame, limb: Limb, drop_per_m: float = 0.0) -> Float64:
     """(segments + 1, 2) nodes of a limb from root to tip, m, in the robot file's body coordinates.
 
-    ``fall_per_m`` is the drop of its curvature by a stroke, 1/m.
+    ``drop_per_m`` is the drop of its curvature by a stroke, 1/m.
     """
-    curvature = limb.rest_curvature_per_m - math.copysign(fall_per_m, limb.rest_curvature_per_m)
+    curvature = limb.rest_curvature_per_m - math.copysign(drop_per_m, limb.rest_curvature_per_m)
     step = limb.length_m / limb.segments
     turn = 2.0 * math.atan(0.5 * curvature * step)  # between chords: curvature 2 tan(turn / 2) / step
     angle = limb.direction_rad + (np.arange(limb.segments) + 0.5) * turn

@@ -60,7 +60,7 @@ class Actuation:
     duration_s: float  # from the pulse's start to rest
     step_s: float  # spacing of the samples
     drop_per_m: float  # largest drop of the curvature, 1/m
-    # (n,) share of that fall: 0 at rest and at both ends, 1 where the limb is straightest
+    # (n,) share of that drop: 0 at rest and at both ends, 1 where the limb is straightest
     activation: Float64
 
 
@@ -194,13 +194,13 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
     end = chosen[0][1].duration_s if len(chosen) == 1 else 1.0 / wanted_hz
     count = int(np.ceil(end / SAMPLE_S)) + 1
     time_s = np.linspace(0.0, end, count)
-    fall = np.zeros(count)
+    drops = np.zeros(count)
     for weight, profile in chosen:
-        fall += weight * (profile.rest_curvature_per_m - profile.curvature_per_m(time_s))
-    fall -= fall[-1] * time_s / end
-    fall = np.maximum(fall, 0.0)  # fits overshoot by up to 0.9 1/m; rest is the most curled state
-    drop = float(fall.max())
-    return Actuation(end, end / (count - 1), drop, fall / drop)
+        drops += weight * (profile.rest_curvature_per_m - profile.curvature_per_m(time_s))
+    drops -= drops[-1] * time_s / end
+    drops = np.maximum(drops, 0.0)  # fits overshoot by up to 0.9 1/m; rest is the most curled state
+    largest = float(drops.max())
+    return Actuation(end, end / (count - 1), largest, drops / largest)
 
 
 def read_mat(path: Path, name: str) -> tuple[Float64, Float64]:
@@ -218,7 +218,7 @@ def read_mat(path: Path, name: str) -> tuple[Float64, Float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class Stroke:
+class MeasuredStroke:
     """A measured stroke."""
 
     name: str  # of its file
@@ -226,7 +226,7 @@ class Stroke:
     curvature_per_m: Float64  # (n,) of the limb, 1/m, positive at rest
 
 
-def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
+def read_stroke(file: Path | str, length_m: float | None = None) -> MeasuredStroke:
     """Read a measured stroke: CSV with a header and one cycle, from the pulse's start to rest.
 
     The columns are ``time_s`` and ``curvature_per_m``, or ``time_s``, ``tip_x_m``, ``tip_y_m``: the limb's
@@ -252,10 +252,10 @@ def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
                 "give it in m, above 0"
             )
         curvature = 2.0 * np.unwrap(np.arctan2(y_m, x_m)) / length_m
-    return Stroke(name, time_s, -curvature if curvature[0] < 0.0 else curvature)
+    return MeasuredStroke(name, time_s, -curvature if curvature[0] < 0.0 else curvature)
 
 
-def fit_stroke(stroke: Stroke, egain_percent: float, frequency_hz: float | None = None) -> Profile:
+def fit_stroke(stroke: MeasuredStroke, egain_percent: float, frequency_hz: float | None = None) -> Profile:
     """The profile of a measured stroke; the default frequency is one over its last time, to four digits."""
     time_s = stroke.time_s
     if not time_s[0] >= 0.0:

@@ -312,8 +312,8 @@ def _read_wear(reader: _Reader, track: Track, tables: Tables) -> None:
 
 def _read_track(reader: _Reader, estimator: Estimator, tables: Tables) -> None:
     track = estimator.track
-    track._learned, teaches = reader.take("BB")
-    track._teaches = bool(teaches)
+    track._learned, prediction_valid = reader.take("BB")
+    track._prediction_valid = bool(prediction_valid)
     count = reader.one("B", INSTANTS)
     _read_wear(reader, track, tables)
     size = 2 * count

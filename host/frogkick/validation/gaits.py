@@ -13,7 +13,7 @@ from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.der import Batch, Failure, Rods
 from frogkick.effects import rods_of
-from frogkick.effects.swims import Gait, Track, simulate_gait_tracks
+from frogkick.effects.swims import Gait, SwimTrace, simulate_gait_traces
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
@@ -72,18 +72,18 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     ready = [(k, gaits[k], stroke) for k, stroke in enumerate(strokes) if not isinstance(stroke, str)]
     ready.sort(key=lambda row: row[1].frequency_hz)  # lanes that last equally long keep each other busy
     some = [replace(rods, actuation=stroke) for _, _, stroke in ready]
-    tracks = simulate_gait_tracks(some, [gait for _, gait, _ in ready], cycles)
-    for (place, gait, _), track in zip(ready, tracks, strict=True):
-        swum[place] = _swim(rods.robot, gait, track)
+    traces = simulate_gait_traces(some, [gait for _, gait, _ in ready], cycles)
+    for (place, gait, _), trace in zip(ready, traces, strict=True):
+        swum[place] = _swim(rods.robot, gait, trace)
     return swum
 
 
-def _swim(robot: Robot, gait: Gait, track: Track | Failure) -> GaitSwim | str:
-    if isinstance(track, Failure):
-        return f"rods of {robot.id!r} {track}"
-    speed_mps = speed_over_cycles(track.time_s, track.node_mean_m, gait.frequency_hz)
+def _swim(robot: Robot, gait: Gait, trace: SwimTrace | Failure) -> GaitSwim | str:
+    if isinstance(trace, Failure):
+        return f"rods of {robot.id!r} {trace}"
+    speed_mps = speed_over_cycles(trace.time_s, trace.node_mean_m, gait.frequency_hz)
     cost = cost_of_transport(robot, gait.frequency_hz, speed_mps)
-    return GaitSwim(gait, track.time_s, track.node_mean_m, speed_mps, cost)
+    return GaitSwim(gait, trace.time_s, trace.node_mean_m, speed_mps, cost)
 
 
 def _stroke(profiles: Sequence[Profile], gait: Gait) -> Actuation | str:

@@ -44,7 +44,7 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """The gaits of a sweep."""
 
     robot: Robot
@@ -78,7 +78,7 @@ class Point:
 class Sweep:
     """A finished sweep; points by design, then by phase."""
 
-    plan: Plan
+    plan: SweepPlan
     points: tuple[Point, ...]
 
     def of_design(self, design: Design) -> list[Point]:
@@ -91,7 +91,7 @@ def plan_sweep(
     frequencies_hz: Sequence[float] | None = None,
     phases: int = 10,
     egain_percent: Sequence[float] | None = None,
-) -> Plan:
+) -> SweepPlan:
     """List the designs of a sweep.
 
     Args:
@@ -133,11 +133,11 @@ def plan_sweep(
             f"nothing to sweep: {skipped[0].reason}" if skipped else "nothing to sweep: name a fraction"
         )
     steps = tuple(round(k / phases, 12) for k in range(phases))
-    return Plan(robot, tuple(designs), steps, frozenset(interpolated), tuple(skipped))
+    return SweepPlan(robot, tuple(designs), steps, frozenset(interpolated), tuple(skipped))
 
 
 def run_sweep(
-    plan: Plan,
+    plan: SweepPlan,
     out: Path,
     workers: int,
     progress: Callable[[int, int], None] | None = None,
@@ -180,7 +180,7 @@ def run_sweep(
     return Sweep(plan, tuple(point for design in plan.designs for point in found[design] or ()))
 
 
-def _gaits(plan: Plan, design: Design) -> list[Gait]:
+def _gaits(plan: SweepPlan, design: Design) -> list[Gait]:
     return [Gait(design.egain_percent, design.frequency_hz, phase) for phase in plan.phases]
 
 
@@ -188,7 +188,7 @@ def _chunk_file(out: Path, design: Design) -> Path:
     return out / "chunks" / f"{design.name}.json"
 
 
-def _key(plan: Plan) -> str:
+def _key(plan: SweepPlan) -> str:
     """Return a hash of all that a chunk depends on: robot, phases, code of frogkick and of effects."""
     digest = hashlib.sha256(plan.robot.sha256)
     digest.update(repr((code_stamp(), plan.phases)).encode("ascii"))
@@ -217,7 +217,7 @@ def _chunk_text(key: str, points: Sequence[Point]) -> str:
     return json.dumps(chunk, indent=1, allow_nan=False) + "\n"
 
 
-def _read_chunk(file: Path, key: str, plan: Plan, design: Design) -> list[Point] | None:
+def _read_chunk(file: Path, key: str, plan: SweepPlan, design: Design) -> list[Point] | None:
     """Return the points of a chunk file; None if it is missing, incomplete, or of other origin."""
     try:
         chunk = json.loads(file.read_text(encoding="utf-8"))

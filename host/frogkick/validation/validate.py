@@ -272,8 +272,8 @@ def by_group(rows: Iterable[tuple[str, float]]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Noise of measured speeds: a model's error below it cannot be distinguished from noise.
+class SpeedNoise:
+    """SpeedNoise of measured speeds: a model's error below it cannot be distinguished from noise.
 
     Three estimates of the standard deviation of a speed, m/s, by group of experiments, none of which uses the
     model:
@@ -319,7 +319,7 @@ def _distinct(results: Iterable[ExperimentResult]) -> dict[Gait, list[float]]:
     return speeds
 
 
-def noise_of(experiments: Sequence[ExperimentResult]) -> Noise:
+def noise_of(experiments: Sequence[ExperimentResult]) -> SpeedNoise:
     """Estimate the noise of measured speeds from the measurements alone."""
     bends: list[tuple[str, float]] = []
     for group, members in itertools.groupby(
@@ -337,7 +337,7 @@ def noise_of(experiments: Sequence[ExperimentResult]) -> Noise:
     spare = sum(len(speeds) - 1 for speeds in several)
     scatter = sum(sum((s - sum(row) / len(row)) ** 2 for s in row) for row in several)
     neighbours = by_group(bends)
-    return Noise(
+    return SpeedNoise(
         neighbours,
         {name: sum(g == name or g.startswith(name + "/") for g, _ in bends) for name in neighbours},
         by_group((group, sd) for group, sd in within if sd is not None),

@@ -24,7 +24,7 @@ import numpy as np
 
 from frogkick.core.arrays import Bool, Float64
 from frogkick.robot import Robot
-from frogkick.validation.validate import ExperimentResult, Noise, Validation, noise_of, root_mean_square
+from frogkick.validation.validate import ExperimentResult, SpeedNoise, Validation, noise_of, root_mean_square
 from frogkick.validation.validate import validate as run_validation
 from frogkick_studies.steady import (
     CANDIDATES,
@@ -129,7 +129,7 @@ class OpenLoop:
     """All splits of measured swims, and the nominal model on the (training) folder."""
 
     validation: Validation
-    noise: Noise
+    noise: SpeedNoise
     splits: tuple[Split, ...]
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from frogkick.core.arrays import Float64, Int64
-from frogkick.core.compiled import kept, stamp_of
+from frogkick.core.compiled import cached_njit, stamp_of
 from frogkick.core.errors import InputError
 from frogkick.core.poses import world_from_body
 from frogkick.core.progress import shown
@@ -188,7 +188,7 @@ def _traced(levels: Sequence[_Plans], plans: _Plans, at: int) -> tuple[int, ...]
 
 
 def _compiled(stamp: int) -> Any:
-    @kept()
+    @cached_njit()
     def expand(table, poses, states, at, places_m, pose, dynamics, place, distance_m):  # type: ignore[no-untyped-def]
         motion = np.zeros(3, dtype=np.float32)
         actions = table.transitions.shape[1]

@@ -24,7 +24,7 @@ ALLOCATING: dict[str, Any] = {**INNER, "_nrt": True}
 
 
 def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return numba's njit for a function that is cached on disk: ``@kept(**BARE)``.
+    """Return numba's njit for a function that is cached on disk: ``@cached_njit(**BARE)``.
 
     A cache of another version of frogkick may name types by modules that no longer exist. numba fails on such
     a cache; this decorator compiles again.

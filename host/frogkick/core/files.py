@@ -20,7 +20,11 @@ from frogkick.core.errors import InputError
 
 
 def existing_file(path: Path | str, what: str) -> Path:
-    """Return the path of a non-empty file; ``what`` it is, for the error text."""
+    """Return the path of a non-empty file; ``what`` it is, for the error text.
+
+    Raises:
+        InputError: there is no such file, or it is empty.
+    """
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"{what} is given as {type(path).__name__}: give a file's name")
     file = Path(path)
@@ -45,6 +49,9 @@ def csv_numbers(
     Args:
         needed: columns whose numbers must be finite.
         optional: further columns; NaN if the column or the cell is missing.
+
+    Raises:
+        InputError: the file lacks a needed column, or one of its numbers is missing or not finite.
     """
     file, name = existing_file(path, what), f"{what} {str(path)!r}"
     values = []
@@ -71,7 +78,11 @@ def csv_numbers(
 
 
 def require_writable(out: Path | None, folder: bool = False) -> None:
-    """Raise an error if --out cannot be written, before the work begins. Nothing is written."""
+    """Check that --out can be written, before the work begins. Nothing is written.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     if out is None:
         return
     if folder and out.exists() and not out.is_dir():
@@ -89,7 +100,11 @@ def require_writable(out: Path | None, folder: bool = False) -> None:
 
 @contextmanager
 def sole_writer(out: Path | None) -> Iterator[None]:
-    """Refuse a file that another process is going to write, as long as the context lives."""
+    """Lock a file to write as long as the context lives, where there is fcntl (not on Windows).
+
+    Raises:
+        InputError: another process holds the lock, or the file cannot be written.
+    """
     try:
         import fcntl
     except ImportError:  # Windows: the last one wins
@@ -131,6 +146,9 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``, which is renamed to it on success and removed on any error.
 
     Folders that were created for it are removed as well.
+
+    Raises:
+        InputError: the file cannot be written, or the disk is full.
     """
     if not isinstance(target, str | os.PathLike):
         raise InputError(f"file to write is given as {type(target).__name__}: give its name")
@@ -176,7 +194,11 @@ def write_text(target: Path | str, content: str) -> None:
 
 
 def require_room(target: Path | str, size: int) -> None:
-    """Raise an error if the disk has no room for a file of ``size`` bytes."""
+    """Check that the disk has room for a file of ``size`` bytes.
+
+    Raises:
+        InputError: it has not.
+    """
     free = shutil.disk_usage(next(place for place in Path(target).absolute().parents if place.exists())).free
     if free < size:
         raise InputError(
@@ -210,6 +232,9 @@ def cache_folder(name: str = "") -> Path:
 
     It is ``$FROGKICK_CACHE_DIR``, else ``$XDG_CACHE_HOME/frogkick``, else ``~/.cache/frogkick``. If the home
     folder cannot be written, it is a private folder in the temporary folder. ``name``: of a folder inside it.
+
+    Raises:
+        InputError: ``$FROGKICK_CACHE_DIR`` is set and cannot be written.
     """
     given = os.environ.get("FROGKICK_CACHE_DIR")
     if given:

@@ -412,7 +412,11 @@ def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Ter
 
 
 def robot_of_runs(runs: Sequence[Segments] | Sequence[RunLog]) -> str:
-    """Return the id of the robot of all runs; refuse runs of several robots."""
+    """Return the id of the robot of all runs.
+
+    Raises:
+        InputError: they are of several robots.
+    """
     names = sorted({run.robot_id for run in runs})
     if len(names) != 1:
         raise InputError(f"the runs are of robots {', '.join(names)}: give runs of one")

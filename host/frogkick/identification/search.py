@@ -112,7 +112,11 @@ class Found:
 
 
 def nominal_fit(swims: Sequence[Segments], robot: Robot) -> tuple[Data, Fitted]:
-    """The periods of runs that can be used, and the nominal model with its noise fitted to them."""
+    """The periods of runs that can be used, and the nominal model with its noise fitted to them.
+
+    Raises:
+        InputError: no period has fixes all along.
+    """
     model = Model(robot, (), Noise())
     (rollouts,) = rollouts_of([model], swims)
     rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)

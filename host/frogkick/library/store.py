@@ -199,7 +199,11 @@ def write_library(
 
 
 def read_library(path: Path | str) -> Library:
-    """Read and check a library."""
+    """Read and check a library.
+
+    Raises:
+        InputError: it is no library, is damaged, or was made by a later version.
+    """
     source = existing_file(path, "library")
     try:
         with h5py.File(source, "r") as file:
@@ -388,6 +392,9 @@ def quantise(library: Library) -> bytes:
 
     Returns:
         The image; equal libraries give equal bytes.
+
+    Raises:
+        InputError: no state has all of its actions.
     """
     robot = library.robot()
     whole = library.whole_states()

@@ -158,6 +158,9 @@ def fit_surface(robot: Robot, velocities: Float64, rows: Float64, previous: Int6
         velocities: (n, 3) forward, left (m/s), turn rate (rad/s).
         rows: (n, a, 6) transitions.
         previous: (n, s) earlier actions.
+
+    Raises:
+        InputError: the library has fewer than STATES_MIN complete states.
     """
     from scipy.spatial import cKDTree
 

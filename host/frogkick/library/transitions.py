@@ -95,6 +95,9 @@ def simulate_task(rods: Rods, task: Task, record_s: float = 0.0, extra: Sequence
         task: the states.
         record_s: time to record of each transition.
         extra: effects beside those of the robot's file.
+
+    Raises:
+        ConvergenceError: a swim cannot be simulated on to its next wanted state.
     """
     robot = rods.robot
     places = {(int(k), int(s)): n for n, (k, s) in enumerate(np.argwhere(task.wanted))}

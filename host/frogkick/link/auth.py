@@ -47,6 +47,7 @@ class CommandCodes:
 
 
 def challenge() -> bytes:
+    """Random bytes that a robot is to answer for, fresh for each connection."""
     return secrets.token_bytes(NONCE_BYTES)
 
 
@@ -70,12 +71,17 @@ def begin(key: bytes, host_nonce: bytes, answer: Mapping[str, int | float | str]
 
 
 def default_key_file() -> Path:
+    """The file of the owner's key of this user."""
     home = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA")
     return (Path(home) if home else Path.home() / ".config") / "frogkick" / "owner.key"
 
 
 def read_key(file: Path) -> bytes:
-    """An owner's key from its file: 64 hexadecimal digits."""
+    """An owner's key from its file: 64 hexadecimal digits.
+
+    Raises:
+        InputError: there is no such file, or it does not hold a key.
+    """
     try:
         text = file.read_text(encoding="ascii").strip()
         key = bytes.fromhex(text)
@@ -94,7 +100,11 @@ def read_key(file: Path) -> bytes:
 
 
 def make_key(file: Path) -> bytes:
-    """Make an owner's key and write it to a file that only this user may read."""
+    """Make an owner's key and write it to a file that only this user may read.
+
+    Raises:
+        InputError: the file exists already or cannot be written.
+    """
     key = secrets.token_bytes(KEY_BYTES)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

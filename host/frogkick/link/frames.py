@@ -54,6 +54,9 @@ def pack_frame(
         values: value of each fixed field, and of the bytes at an answer's end, if any.
         rows: repeated rows of a command, in the field order of the layout.
         auth: authentication codes, for a robot that has an owner's key.
+
+    Raises:
+        InputError: the layout has no such frame, or a value is missing or out of its range.
     """
     messages = link_layout().messages
     if name not in messages:
@@ -104,7 +107,11 @@ def _wire_value(value: Value, room: int) -> int | float | bytes:
 
 
 def unpack_frame(encoded: bytes) -> Frame:
-    """Decode one frame (without its delimiter)."""
+    """Decode one frame (without its delimiter).
+
+    Raises:
+        FrameError: the bytes are no frame of this protocol, or damaged.
+    """
     try:
         raw = bytes(cobs.decode(encoded))
     except cobs.DecodeError as error:
@@ -171,7 +178,11 @@ def hello(conversation: int = 0) -> dict[str, Value]:
 
 
 def path_frames(points: Sequence[tuple[float, float, float]]) -> list[Arguments]:
-    """Split a path of 2 to 100 points (x_m, y_m, tangent_rad), world frame, into PATH commands."""
+    """Split a path of 2 to 100 points (x_m, y_m, tangent_rad), world frame, into PATH commands.
+
+    Raises:
+        InputError: it has fewer or more points.
+    """
     payload = link_layout().messages["PATH"].command
     assert payload is not None
     if not 2 <= len(points) <= PATH_POINTS_MAX:

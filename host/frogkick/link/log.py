@@ -104,6 +104,7 @@ def check_of(raw: bytes) -> int:
 
 
 def records_of(stretch: Stretch) -> list[Record]:
+    """The records of a stretch of the log, in order; one that is cut off at the end is left out."""
     records, at = [], 0
     while at + HEAD_BYTES <= len(stretch.content):
         length, number, check, low, high = struct.unpack_from("<BBHIH", stretch.content, at)

@@ -27,6 +27,11 @@ class Listener(Protocol):
 
 
 def require_pseudo_terminals() -> None:
+    """Check that the operating system has pseudo-terminals.
+
+    Raises:
+        InputError: it is Windows.
+    """
     if sys.platform == "win32":
         raise InputError(
             "Windows has no pseudo-terminals, which a simulated robot's serial port is: use Linux, macOS or "
@@ -69,7 +74,11 @@ class PtyLine:
         return self._ends is not None
 
     def plug_in(self) -> None:
-        """Make a new pseudo-terminal, under the old name if it has one of its own."""
+        """Make a new pseudo-terminal, under the old name if it has one of its own.
+
+        Raises:
+            InputError: the name is taken, or the link to the port cannot be made.
+        """
         import tty  # not on Windows
 
         if self._link is not None and self._link.exists() and not self._link.is_symlink():

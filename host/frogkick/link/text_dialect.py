@@ -19,6 +19,11 @@ LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 def require_dialect(name: str) -> None:
+    """Check the name of a dialect.
+
+    Raises:
+        InputError: it is none of DIALECTS.
+    """
     if name not in DIALECTS:
         raise InputError(
             f"--dialect is {name!r}{nearest_name(name, DIALECTS)}: choose frogkick (this project's firmware) "
@@ -27,7 +32,11 @@ def require_dialect(name: str) -> None:
 
 
 def limb_numbers(names: Sequence[str]) -> tuple[int, ...]:
-    """The dialect's number of each limb, by the limbs' names."""
+    """The dialect's number of each limb, by the limbs' names.
+
+    Raises:
+        InputError: the dialect does not have a limb.
+    """
     unknown = [name for name in names if name not in LIMBS]
     if unknown:
         raise InputError(
@@ -38,6 +47,11 @@ def limb_numbers(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def pulse_line(pulse_us: int) -> bytes:
+    """The command that sets the length of pulses.
+
+    Raises:
+        InputError: the length is not in whole ms.
+    """
     if pulse_us % 1000:
         raise InputError(
             f"the table's pulse is {pulse_us} us, dialect frog2022 takes whole ms: build it with another"
@@ -46,4 +60,5 @@ def pulse_line(pulse_us: int) -> bytes:
 
 
 def fire_line(limbs: Sequence[int]) -> bytes:
+    """The command that fires limbs, by their numbers."""
     return b"h " + b" ".join(b"%d" % limb for limb in sorted(limbs)) + b"\n"

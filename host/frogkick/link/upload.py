@@ -35,6 +35,9 @@ def upload(
 
     A robot with one slot that holds the table in use returns to its built-in table first. ``progress`` is
     called with the bytes on the robot and all bytes.
+
+    Raises:
+        UploadError: the table is too large, or the robot refuses it.
     """
     here = _ask(link, "TABLE_STATUS")
     if len(image) > int(here["slot_bytes"]):

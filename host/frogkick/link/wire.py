@@ -129,7 +129,11 @@ def is_target(text: str) -> bool:
 
 
 def parse_target(text: str) -> Target:
-    """Read ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``."""
+    """Read ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
+
+    Raises:
+        InputError: the text is neither, or the speed is not allowed.
+    """
     kind, _, place = text.partition(":")
     if kind not in KINDS or not place:
         hint = "" if kind in KINDS else nearest_name(kind, KINDS)

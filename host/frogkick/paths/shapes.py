@@ -115,6 +115,9 @@ def ellipse(
         turns: part of it that is travelled, above 0 to 1.
         clockwise: travel clockwise, so that the first tangent points to +y (left); else to -y.
         points: number of points, 2 to 100.
+
+    Raises:
+        InputError: an argument is outside of its range.
     """
     length, s = _checked("ellipse", length_m, points)
     if not (_is_finite(aspect) and aspect > 0.0):

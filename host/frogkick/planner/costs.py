@@ -95,6 +95,7 @@ def segment_length(path: AnyArray, segment: int) -> Any:
 
 @njit(**INNER)
 def distance2_to(path: AnyArray, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
+    """Squared distance of a position from a point of a segment, m^2; ``part``: 0 to 1 along the segment."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
     across_x = (x - path[0, segment]) - part * dx
@@ -249,6 +250,7 @@ def huber(distance2: np.float32, huber_m: np.float32) -> Any:
 
 @njit(**INNER)
 def beyond(at: np.float32, least: np.float32, most: np.float32) -> Any:
+    """How far a coordinate lies outside of an interval."""
     return max(_F0, least - at) + max(_F0, at - most)
 
 

@@ -49,6 +49,7 @@ DYNAMICS = 3 + LIMBS_MAX
 
 
 def arrays_of(tables: Tables) -> TableArrays:
+    """The arrays of a table as the compiled functions take them."""
     states = tables.states.astype(np.int64)
     same = TableArrays._fields[: TableArrays._fields.index("least")]  # those up to it are called so in Tables
     return TableArrays(

@@ -204,7 +204,11 @@ def query_rows(
     limb_use: npt.ArrayLike | None,
     along_points: npt.ArrayLike,
 ) -> tuple[Int64, Float32, UInt16, Float32]:
-    """The arguments of ``plan_batch`` as a kernel takes them: depths, states, limb uses, places."""
+    """The arguments of ``plan_batch`` as a kernel takes them: depths, states, limb uses, places.
+
+    Raises:
+        InputError: an array has another shape, or a limb use is not a whole number of 0 to 65535.
+    """
     queries = _float32(states)
     if queries.ndim != 2 or queries.shape[1] != 6:
         raise InputError(f"states have shape {queries.shape}, needed is (k, 6): pass one row for each state")
@@ -229,7 +233,11 @@ def query_rows(
 
 
 def path_rows(path: PathLike) -> Float32:
-    """A path as a (3, n) float32 array: x m, y m, tangent rad."""
+    """A path as a (3, n) float32 array: x m, y m, tangent rad.
+
+    Raises:
+        InputError: x, y and tangent differ in length.
+    """
     columns = [_float32(column).reshape(-1) for column in (path.x_m, path.y_m, path.tangent_rad)]
     if len({len(column) for column in columns}) != 1:
         lengths = [len(column) for column in columns]

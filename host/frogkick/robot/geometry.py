@@ -34,7 +34,11 @@ def _edge(frame: Frame, index: int) -> Float64:
 
 
 def require_geometry(frame: Frame, limbs: tuple[Limb, ...]) -> None:
-    """Check that frame and limbs can be built."""
+    """Check that frame and limbs can be built.
+
+    Raises:
+        InputError: a segment is too short, an edge turns too far, or two of them cross.
+    """
     n = len(frame.corners_m)
     for i in range(n):
         length_m = math.dist(*_edge(frame, i))

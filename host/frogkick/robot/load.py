@@ -105,6 +105,9 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         content: TOML.
         source: its name in errors.
         folder: of ``profiles_file``; None if the text must be complete.
+
+    Raises:
+        InputError: the text is no TOML, or a key is missing, unknown or out of its range.
     """
     table = _parse_toml(content, source)
     table, profiles = _on_base(table, source, folder)

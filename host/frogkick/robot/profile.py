@@ -204,7 +204,11 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
 
 
 def read_mat(path: Path, name: str) -> tuple[Float64, Float64]:
-    """Read ``t`` and one more variable of a MATLAB file, as rows."""
+    """Read ``t`` and one more variable of a MATLAB file, as rows.
+
+    Raises:
+        InputError: it is no MATLAB file, or lacks a variable.
+    """
     from scipy.io import loadmat
 
     try:
@@ -236,6 +240,9 @@ def read_stroke(file: Path | str, length_m: float | None = None) -> MeasuredStro
     Args:
         file: the CSV file.
         length_m: length of the limb, for a tracked tip.
+
+    Raises:
+        InputError: a column is missing, a number is not finite, or ``length_m`` is needed.
     """
     name = Path(file).name
     rows = np.array(csv_numbers(file, "stroke file", ("time_s",), ("curvature_per_m", "tip_x_m", "tip_y_m")))
@@ -256,7 +263,11 @@ def read_stroke(file: Path | str, length_m: float | None = None) -> MeasuredStro
 
 
 def fit_stroke(stroke: MeasuredStroke, egain_percent: float, frequency_hz: float | None = None) -> Profile:
-    """The profile of a measured stroke; the default frequency is one over its last time, to four digits."""
+    """The profile of a measured stroke; the default frequency is one over its last time, to four digits.
+
+    Raises:
+        InputError: the stroke begins before 0 s, the frequency is not above 0, or no profile fits.
+    """
     time_s = stroke.time_s
     if not time_s[0] >= 0.0:
         raise InputError(f"stroke file {stroke.name!r} begins at {time_s[0]:g} s: 0 is when the pulse begins")

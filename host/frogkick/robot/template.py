@@ -19,6 +19,9 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
         base: the other robot.
         name: the new robot's id.
         limbs: number of the base's limbs, with the actions of these; None: all.
+
+    Raises:
+        InputError: ``limbs`` is not 1 to the number of limbs of the base.
     """
     table = RobotFile.model_validate(tomllib.loads(base.toml)).model_dump(mode="json", exclude_none=True)
     del table["effect"]  # measured on another robot

@@ -34,6 +34,11 @@ class ActionRow:
 
 
 def require(good: bool, text: str) -> None:
+    """Refuse what cannot be packed.
+
+    Raises:
+        TableError: ``good`` is false; with this text.
+    """
     if not good:
         raise TableError(text)
 
@@ -44,6 +49,7 @@ def require_usable(good: bool, text: str) -> None:
 
 
 def require_counts(states: int, actions: int, limbs: int, remedy: str) -> None:
+    """Check the sizes of a table."""
     require(1 <= states <= layout.STATES_MAX, f"{states} states, allowed are 1 to 65535: {remedy}")
     require(1 <= actions <= layout.ACTIONS_MAX, f"{actions} actions, allowed are 1 to 32: {remedy}")
     require(1 <= limbs <= layout.LIMBS_MAX, f"{limbs} limbs, allowed are 1 to 8: {remedy}")

@@ -118,6 +118,11 @@ class Tables:
         return replace(self, actions=tuple(rows))
 
     def require_robot(self, robot_id: str) -> None:
+        """Check that the table was made for a robot.
+
+        Raises:
+            TableError: it was made for another.
+        """
         if robot_id != self.robot_id:
             raise TableError(
                 f"table image is for robot {self.robot_id!r}, this robot is {robot_id!r}: "

@@ -153,6 +153,7 @@ Header = _typed_by_name("Header", HEADER.names)
 
 
 def header_of(image: bytes) -> Any:
+    """The fields of an image, at its beginning."""
     values = np.frombuffer(image, HEADER, 1)[0].item()
     return Header(*(value.tolist() if isinstance(value, np.ndarray) else value for value in values))
 

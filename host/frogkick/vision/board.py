@@ -78,7 +78,11 @@ class Board:
 
 
 def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
-    """Read a folder's pictures, by name, as grey levels."""
+    """Read a folder's pictures, by name, as grey levels.
+
+    Raises:
+        InputError: there is no such folder, no picture in it, or one that cannot be read.
+    """
     place = Path(folder)
     if not place.is_dir():
         raise InputError(f"folder of pictures {str(folder)!r} does not exist: check the path")
@@ -89,7 +93,11 @@ def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
 
 
 def read_picture(path: Path | str) -> UInt8:
-    """Read a picture as grey levels."""
+    """Read a picture as grey levels.
+
+    Raises:
+        InputError: it is no picture that can be read.
+    """
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if Path(path).is_file() else None
     if image is None:
         raise InputError(f"{str(path)!r} is not a readable picture: check the path and the file")
@@ -101,6 +109,9 @@ def calibrate_lens(board: Board, pictures: Sequence[tuple[str, UInt8]]) -> tuple
 
     Returns:
         The lens, and the root mean square of the residuals in pixels.
+
+    Raises:
+        InputError: the pictures have several sizes, or the board is seen in fewer than PICTURES_MIN.
     """
     sizes = {image.shape for _, image in pictures}
     if len(sizes) > 1:

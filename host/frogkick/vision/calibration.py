@@ -199,6 +199,9 @@ def lens_from_height(
     """The camera matrix with square centred pixels that gives the camera a measured height over the water.
 
     ``plane_m`` is the apparent height of the reference plane, which the homography takes to pixels.
+
+    Raises:
+        InputError: no lens gives the camera this height.
     """
     width, height = image_px
 

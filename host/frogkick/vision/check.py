@@ -76,7 +76,11 @@ def check_frames(
 
 
 def known_places(path: Path | str) -> Iterable[tuple[UInt8, float, float, float]]:
-    """Pictures of the tag at places of a CSV with the columns image, x_m, y_m and perhaps heading_deg."""
+    """Pictures of the tag at places of a CSV with the columns image, x_m, y_m and perhaps heading_deg.
+
+    Raises:
+        InputError: a column is missing, or a picture cannot be read.
+    """
     rows = np.array(csv_numbers(path, "CSV", ("x_m", "y_m"), ("heading_deg",)))
     with Path(path).open(encoding="utf-8-sig", newline="") as handle:
         names = [row.get("image") or "" for row in csv.DictReader(handle)]
@@ -91,7 +95,11 @@ def known_places(path: Path | str) -> Iterable[tuple[UInt8, float, float, float]
 
 
 def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
-    """A rendered pool as the calibrated camera sees it."""
+    """A rendered pool as the calibrated camera sees it.
+
+    Raises:
+        InputError: the calibration lacks the camera's position.
+    """
     if calibration.camera_m is None:
         raise InputError(
             "the calibration does not contain the camera's position, so no picture can be rendered: "

@@ -34,6 +34,9 @@ def read_corners(path: Path | str) -> Float64:
 
     Returns:
         (4, 2) pixels, in the order of ``ORDER``.
+
+    Raises:
+        InputError: the file is neither of these, or does not have four corners.
     """
     file = existing_file(path, "corners file")
     try:
@@ -79,6 +82,9 @@ def calibrate_corners(
         camera_height_m: measured, over the water; needed if tag and corners differ in height and the lens is
             unknown.
         lens: intrinsics, if known.
+
+    Raises:
+        InputError: the corners do not fit the picture, the pool or the camera.
     """
     width, height = image_px
     beyond = int(((corners_px < 0) | (corners_px > (width, height))).any(axis=1).sum())
@@ -157,6 +163,9 @@ def calibrate_plane(
             x, its rows towards -y.
         board_height_m: of its face over the water, negative under it.
         pool_m, tag, camera_height_m, lens: see ``calibrate_corners``.
+
+    Raises:
+        InputError: the board looks alike from both ends, is not seen, or does not fit the pool.
     """
     if board.kind == "chessboard" and (board.columns + board.rows) % 2 == 0:
         raise InputError(

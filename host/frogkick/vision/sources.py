@@ -54,7 +54,11 @@ def device_frames(index: int, image_px: tuple[int, int] | None = None) -> Iterat
 
 
 def live_frames(camera: cv2.VideoCapture, what: str) -> Iterator[Frame]:
-    """Frames of an open camera; ``what`` names it in errors (see ``device_frames``)."""
+    """Frames of an open camera; ``what`` names it in errors (see ``device_frames``).
+
+    Raises:
+        InputError: the camera gives no picture, or one that cannot be decoded.
+    """
 
     def pictures() -> Iterator[tuple[UInt8 | None, float]]:
         while camera.grab():
@@ -117,7 +121,11 @@ def _live(pictures: Iterable[tuple[UInt8 | None, float]], what: str, hint: str) 
 
 
 def video_frames(path: Path | str) -> Iterator[Frame]:
-    """Frames of a video file."""
+    """Frames of a video file.
+
+    Raises:
+        InputError: it is no video that can be read, or has no pictures.
+    """
     if not Path(path).is_file():
         raise InputError(f"video {str(path)!r} does not exist: check the path")
     video = _opened(str(path), f"video {str(path)!r}")

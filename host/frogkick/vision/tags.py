@@ -52,7 +52,11 @@ def standard_detector() -> Any:
 
 
 def tag_count(family: str) -> int:
-    """Number of tags of a family."""
+    """Number of tags of a family.
+
+    Raises:
+        InputError: the family is not known.
+    """
     if family not in FAMILIES:
         raise InputError(f"tag family {family!r} is not known, known are {', '.join(FAMILIES)}")
     if family == STANDARD:

@@ -76,7 +76,11 @@ class Tracker:
         self._last = None
 
     def observe(self, image: UInt8) -> Observation:
-        """Search a frame, (height, width) grey or (height, width, 3) BGR of the calibration's size."""
+        """Search a frame, (height, width) grey or (height, width, 3) BGR of the calibration's size.
+
+        Raises:
+            InputError: the frame does not have the calibration's size.
+        """
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         width, height = self._calibration.image_px
         if grey.shape != (height, width):

@@ -270,7 +270,7 @@ def require_tools(target: str) -> None:
 
 
 def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
-    """C files, headers, and how a compiler is told where they are."""
+    """C files, headers, and the compiler's flags with their folders."""
     core = work / "firmware" / "core"
     folders = [work / "config", work / "emitted", core]
     emitted = [path for path in sorted(folders[1].glob("*.c")) if "example" not in path.name]
@@ -331,9 +331,11 @@ def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     sources, headers, places = _sources(work)
     port = work / "native_port.c"
     write_bytes(port, (resources.files("frogkick_codegen") / "templates" / port.name).read_bytes())
-    told = work / declared.SOURCE
-    write_bytes(told, declared.source({path.name: path.read_bytes() for path in [*headers, *sources, port]}))
-    sources += [port, told]
+    declarations = work / declared.SOURCE
+    write_bytes(
+        declarations, declared.source({path.name: path.read_bytes() for path in [*headers, *sources, port]})
+    )
+    sources += [port, declarations]
     name = compiler.version.encode()
     digest = hashlib.sha256(name + b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[
         :12

@@ -1,4 +1,4 @@
-"""What is where in an image: a map of its sections and symbols."""
+"""A map of an image: addresses and sizes of its sections and symbols."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def write_map(elf: Path) -> Path:
             if section["sh_flags"] & 2 and section["sh_size"]
         ]
         symbols = _symbols(content)
-    lines = [f"{elf.name}: what is where", "", "sections", "address     bytes  name"]
+    lines = [f"{elf.name}: addresses and sizes", "", "sections", "address     bytes  name"]
     lines += [f"0x{address:08x} {size:6d}  {name}" for address, size, name in sorted(sections)]
     for title, low, high in (("flash", 0, RAM_START), ("RAM", RAM_START, 1 << 32)):
         own = [row for row in symbols if low <= row[0] < high]

@@ -46,7 +46,7 @@ def build_shared(
 
     Builds of files with the same names wait for each other in one folder, where zig compiles only what has
     changed: a core with one other file takes a twelfth of the time. A whole library is renamed into place, so
-    nobody loads half of one.
+    that no process loads half of one.
 
     Args:
         name: stem of the library's file name.
@@ -190,7 +190,7 @@ class NativeLibrary:
 
 _FLAGS = ("-std=c99", "-O1", "-fno-vectorize", "-fno-unroll-loops", *WARNINGS, *FLOAT_RULES)
 _COUNTED = "-fsanitize-coverage=trace-pc-guard"
-"""The compiler that comes as a wheel knows it; its calls go to native_blocks.c."""
+"""clang's flag that counts basic blocks; zig's compiler has it. Its calls go to native_blocks.c."""
 
 
 class BlockCounter:

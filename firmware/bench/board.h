@@ -13,7 +13,7 @@
 #define FK_BOARD_LIMBS_MAX 8u
 #define FK_BOARD_LIMB_PINS {22u, 23u, 24u, 25u, 28u, 29u, 30u, 31u}
 
-/* Limbs that are wired, the first so many of these pins; the others are left alone. A build for a robot with another
+/* Limbs that are wired, the first FK_BOARD_LIMBS of these pins; the others are left alone. A build for a robot with another
  * number says -DFK_BOARD_LIMBS=6u, as 'frogkick firmware build' does from the robot's table. */
 #ifndef FK_BOARD_LIMBS
 #define FK_BOARD_LIMBS 4u

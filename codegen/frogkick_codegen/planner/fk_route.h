@@ -11,7 +11,7 @@
 #define FK_ROUTE_BEHIND 2U        /* knots behind the one where the route begins */
 #define FK_ROUTE_KNOTS_MAX 80U
 #define FK_ROUTE_STROKE_MIN_M 1e-4f
-#define FK_ROUTE_WALL_PERIODS 4.0f /* a robot that reaches a wall within so many periods at its speed may not rest */
+#define FK_ROUTE_WALL_PERIODS 4.0f /* a robot that reaches a wall within this many periods at its speed may not rest */
 #define FK_ROUTE_SLOW_STEPS 3.0f   /* a robot that moves fewer steps than this in a period is slow, and may not rest */
 
 /* A point of the route and the route's direction there. */

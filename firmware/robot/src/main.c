@@ -47,7 +47,7 @@ static int start_watchdog(const struct device *watchdog)
 }
 
 /* Before the core gets an ARM, with a code or without, the crystal is started; where it does not run, the core is
- * told. A frame's type is its second byte, since COBS replaces zeros alone, and no type is zero. */
+ * notified. A frame's type is its second byte, since COBS replaces zeros alone, and no type is zero. */
 static void start_crystal_for_arm(const uint8_t *frame, uint32_t length)
 {
     if (length < 2u || (frame[1] & ~FK_AUTH_BIT) != FK_FRAME_ARM) {

@@ -114,7 +114,7 @@ def _is_switch(hint: Any) -> bool:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether a value may be meant by a type; True for a type that cannot be told at run time."""
+    """Whether a value may be meant by a type; True for a type that cannot be checked at run time."""
     members = list(_members(hint))
     if any(str(getattr(member, "__module__", "")).startswith("numpy._typing") for member in members):
         return (value is None and type(None) in members) or _are_numbers(value)  # ArrayLike

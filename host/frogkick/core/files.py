@@ -249,7 +249,7 @@ def cache_folder(name: str = "") -> Path:
         folder = (Path(base) if base else Path.home() / ".cache") / "frogkick" / name
         if not problem_with(folder):
             return folder.resolve()
-    except RuntimeError:  # nobody's home
+    except RuntimeError:  # the user has no home folder
         pass
     folder = _private_folder() / name
     folder.mkdir(exist_ok=True)

@@ -74,7 +74,7 @@ class Estimator:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all but what the limbs have lost, as a robot does that is told LEARN OFF or HELD."""
+        """Forget all but what the limbs have lost, as a robot does at PARAM LEARN OFF or HELD."""
         self.track.restart()
         self.restarts, self._fixes = 0, 0  # restarts: resets to outliers that agree with each other
         self._newest: _Fix | None = None

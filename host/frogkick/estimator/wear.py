@@ -127,8 +127,8 @@ class WearFilter:
         kept = _FADING * _OUTLIER_FADING if square > _OUTLIER else _FADING
         weighted = weight[:, None] * rows
         products = weighted[:, :, None] * rows[:, None, :]
-        # A limb breaks suddenly, a current seldom begins so: what older periods told of it, with the limbs
-        # as they were believed to be, keeps its weight.
+        # A limb breaks suddenly, a current seldom begins so: what older periods contributed to the current's
+        # estimate, with the shares of the limbs estimated then, keeps its weight.
         of_limbs = np.zeros(3, dtype=np.float32)
         for limb, share in enumerate(values[3:]):
             of_limbs = of_limbs + self._information[3 + limb, :3] * share

@@ -38,7 +38,7 @@ from frogkick.robot import Robot, built_in_robots, load_robot
 STEPS_MAX = 5  # steps of the fit at most
 
 PART, PART_STEPS_MAX = 60, 12
-"""From nominal values: the first so many periods are fitted in so many steps, then all periods."""
+"""From nominal values: the first PART periods are fitted in PART_STEPS_MAX steps, then all periods."""
 
 LEG_S = 0.05  # how often wrenches are evaluated: a glide changes slowly
 
@@ -226,7 +226,7 @@ class GaussNewton:
         return self.model.with_values(self._values(at + step))
 
     def run(self, steps_max: int) -> Model:
-        """The fitted model, after so many steps at most."""
+        """The fitted model, after ``steps_max`` steps at most."""
         deviance = math.inf
         for _ in range(steps_max):
             at, residuals, derivatives, now = self.linearised()

@@ -23,7 +23,7 @@ RANDOM_WALKS = (0.01, 0.02, 0.05, 0.1, 0.2)
 """Candidates for the variance that an offset gains in a period, relative to that of the residuals."""
 
 INITIAL_VARIANCE = 0.05  # variance of an offset at a run's start, likewise relative
-HUBER_SIGMAS = (2.0, 4.0)  # innovations are clipped at so many times the size of the residuals
+HUBER_SIGMAS = (2.0, 4.0)  # innovations are clipped at these multiples of the size of the residuals
 GAIN_MIN = 3.0  # minimum fall of the deviance of the training runs
 
 

@@ -190,7 +190,7 @@ class Fitted:
         return self.deviance + PARAMETER_PENALTY * self.model.free_count
 
     def first(self, count: int) -> Fitted:
-        """The same with the first so many terms, where the others change no prediction."""
+        """The same with the first ``count`` terms, where the others change no prediction."""
         terms = self.model.terms[:count]
         width = sum(len(term.values) for term in terms)
         model = replace(self.model, terms=terms, fixed=frozenset(k for k in self.model.fixed if k < width))
@@ -288,7 +288,7 @@ def refresh_jacobian(
 ) -> list[Fitted]:
     """Refresh Jacobians at the present values; columns that are up to date are not simulated again.
 
-    The first so many parameters that are ``skipped`` keep their derivatives; for ``fixed`` see
+    The first ``skipped`` parameters keep their derivatives; for ``fixed`` see
     ``derivatives``.
     """
     wanted = [
@@ -330,7 +330,7 @@ def fit_on(
     than the linearised optimum, or lost; or it was of an earlier point and the step still gained much.
 
     Args:
-        skipped: the first so many parameters keep their derivatives.
+        skipped: number of parameters, from the first, that keep their derivatives.
         tolerance: a fall of the deviance that ends a fit.
     """
     best = list(start_fits)

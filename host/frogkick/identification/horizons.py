@@ -25,7 +25,7 @@ STARTS_MOST = 60
 
 @dataclass(frozen=True)
 class Horizon:
-    """Errors so many periods ahead, over the same starts, without and with effects."""
+    """Errors of predictions over a number of periods, over the same starts, without and with effects."""
 
     periods: int
     before: PredictionError
@@ -61,7 +61,7 @@ def horizons_of(
 
 
 def _gap(swim: Segments, predicted: Float64, periods: int) -> Float64:
-    """(m, 3) prediction errors so many periods after each start; NaN if unknown."""
+    """(m, 3) prediction errors ``periods`` after each start; NaN if unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
     whole = len(gap) - periods + 1
     if whole > 0:
@@ -75,11 +75,11 @@ def roll_out_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) 
 
     Args:
         ahead: periods, increasing.
-        every: use every so manieth start of a run.
+        every: spacing of the starts that are used; 1: all starts of a run.
 
     Returns:
-        For each lane (len(ahead), m, 3): the pose that the camera would show so many periods after each
-        start; NaN where the run has not so many consecutive periods, or the start was left out.
+        For each lane (len(ahead), m, 3): the pose that the camera would show that many periods after each
+        start; NaN where the run has fewer consecutive periods, or the start was left out.
     """
     found = [np.full((len(ahead), len(lane.swim.start_s), 3), np.nan) for lane in lanes]
     for indices, robot in lanes_by_body(lanes):

@@ -1,7 +1,7 @@
 """Limbs that misfire by chance: which ones, how often, and at which strokes.
 
-The density of a residual is a mixture; see host/docs/pages/explanation/identification.md. Nobody can predict
-which stroke fails next, so a prediction assumes the likelier case, and the mixture shows in the log score.
+The density of a residual is a mixture; see host/docs/pages/explanation/identification.md. Which stroke fails
+next cannot be predicted, so a prediction assumes the likelier case, and the mixture shows in the log score.
 
 Source: Dempster, Laird, Rubin 1977 (mixtures by expectation maximisation).
 """

@@ -27,7 +27,7 @@ from frogkick.robot import Robot
 STEP_S = 1.2e-3
 """Finest time step here: coarser than the pool's, which changes a period's end by some 0.02 mm."""
 
-CLIP_SIGMA = 8.0  # residuals are clipped at so many standard deviations
+CLIP_SIGMA = 8.0  # residuals are clipped at this many standard deviations
 
 PHASES = ((0.12, 0.35), (0.35, 0.65), (0.65, 1.0))
 """Phases of a period, as shares of it: limbs straighten, the robot glides, the period ends."""

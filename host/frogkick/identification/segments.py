@@ -66,7 +66,7 @@ class Segments:
     judged_from: int = 0  # only this period and later ones are judged
 
     def first_periods(self, count: int) -> Segments:
-        """The run with the first so many periods; its fixes and strokes stay."""
+        """The run with the first ``count`` periods; its fixes and strokes stay."""
         cut = {name: getattr(self, name)[:count] for name in ("start_s", "end_s", "action")}
         return replace(self, **cut)
 

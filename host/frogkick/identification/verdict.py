@@ -36,7 +36,7 @@ STILL_S = 1.5 * ACTUATION_S  # no limb moves if none has fired for this time
 
 WINDOW_S, WINDOWS_LEAST = 0.45, 12
 """Four fixes of a glide within this time are compared with a parabola; the noise is estimated from at least
-so many such windows."""
+WINDOWS_LEAST such windows."""
 
 OUTLIER_SIGMA = 3.0
 """Residuals of fixes beyond this many standard deviations are outliers: 0.3 % of a normal density."""
@@ -172,8 +172,8 @@ def log_score_gain(
 
     For the arguments see ``scored``.
 
-    The scales of the Student-t densities without and with effects are told by the training runs: a model is
-    also judged by the spread that it predicts. Where limbs misfire the density is a mixture.
+    The scales of the Student-t densities without and with effects are estimated from the training runs: a
+    model is also judged by the spread that it predicts. Where limbs misfire the density is a mixture.
     """
     models = ((found.nominal, raw[0]), (found.fitted, found.data.swims))
     scales = [scale_of(end_residuals(each.rollouts, runs)) for each, runs in models]

@@ -33,7 +33,7 @@ BUDGET_BYTES = 64 * 1024
 """Default of an affine table. Whatever table a firmware was built with, its slots for tables by radio have at
 least this size, and the flash holds two of them beside a built-in table as large."""
 
-_HELD_OUT_EVERY = 8  # one of so many states is held out to choose the table
+_HELD_OUT_EVERY = 8  # every eighth state is held out to choose the table
 _COARSENESS = {  # of stored values, tried in turn
     "nearest": (1.0, 4.0, 8.0, 16.0),
     "affine": (0.125, 0.1875, 0.25, 0.375, 0.5, 1.0),

@@ -71,7 +71,7 @@ class Library:
             any of them, the limbs are amid their strokes at the start.
         failed: transitions that could not be simulated, in order; only their rows are NaN.
         limb_wear: (l, WEAR_KNOTS, 6) what transitions change while a limb wears, see ``wear_curves``; (0, ..)
-            where nobody simulated it: the robot's tables then hold no curve, and it learns no wear.
+            where that was not simulated: the robot's tables then hold no curve, and it learns no wear.
         folder: folder of the robot's own effects; None if the library was read from a file.
     """
 

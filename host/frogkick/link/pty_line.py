@@ -134,6 +134,6 @@ class PtyLine:
             self.received += len(data)
             answers = self.robot.feed(data) + self.robot.tick()
             if answers:
-                with suppress(BlockingIOError):  # nobody reads: what a full line does not take is lost
+                with suppress(BlockingIOError):  # no reader: what a full line does not take is lost
                     os.write(near, answers)
             return waiting

@@ -16,7 +16,7 @@ order in which branches are expanded and pruned, and these rules:
   further actions of a branch follow the same order, those that may not be first at its end.
 - Costs are not negative, so a branch whose cost has reached the best one cannot beat it and is pruned.
   Rounding keeps this exact: adding what is not negative never lowers a float32 sum.
-- A search that may evaluate only so many transitions stops before the next one. The first level is always
+- A search with a limit of transitions ends before the one that would exceed it. The first level is always
   finished. An unfinished level counts if its first action is finished: what was found there is a branch of
   that depth, no worse than the one before it.
 

@@ -196,7 +196,7 @@ def _to_four(offset: int) -> int:
 
 
 def tree_levels_for(states: int) -> int:
-    """Levels of the search tree that a packer gives so many states."""
+    """Levels of the search tree that a packer makes for a number of states."""
     return min(max(states // LEAF_ROWS, 1).bit_length() - 1, TREE_LEVELS_MAX)
 
 

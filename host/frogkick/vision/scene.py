@@ -60,7 +60,7 @@ def looking_at(
     place_m: tuple[float, float, float] = (0.7, 0.25, 1.35),
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0),
 ) -> Viewpoint:
-    """A camera of 640 x 480 square pixels at a place, which looks at the middle of the water, x to the right.
+    """A camera of 640 x 480 square pixels at a place, aimed at the middle of the water, x to the right.
 
     ``distortion`` is k1, k2, p1, p2, k3 of its lens.
     """

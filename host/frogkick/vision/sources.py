@@ -20,7 +20,7 @@ from frogkick.core.interrupts import Bell
 from frogkick.vision.board import read_pictures
 
 FROZEN_FRAMES = 8
-"""So many equal pictures in a row come from no live camera: its noise alone makes each another."""
+"""A live camera never gives this number of equal pictures in a row: its noise makes each another."""
 SCHEMES = ("http://", "https://", "rtsp://")
 """How the address of a network camera begins."""
 STREAM_OPEN_MS, STREAM_READ_MS = 5000, 1500

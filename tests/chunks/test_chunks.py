@@ -263,15 +263,15 @@ def kill_one(cluster: Cluster) -> None:
 def test_a_sweep_with_a_worker_killed_in_it_gives_the_same_bytes(cluster: Cluster, tmp_path: Path) -> None:
     frequencies = [1.9, 2.0, 2.1, 2.2, 2.3][: count(5, 5, 3)]
     plan = plan_sweep(load_robot("frog2022"), frequencies, phases=8, egain_percent=[50.0])
-    told: list[int] = []
+    reported: list[int] = []
 
     def kill_in_the_middle(done: int, total: int) -> None:
-        told.append(done)
-        if len(told) == 2:  # one chunk is done; each worker has another in hand
+        reported.append(done)
+        if len(reported) == 2:  # one chunk is done; each worker has another in hand
             kill_one(cluster)
 
     run_sweep(plan, tmp_path / "far", 1, kill_in_the_middle, cluster.address)
-    assert told == [8 * k for k in range(len(frequencies) + 1)]
+    assert reported == [8 * k for k in range(len(frequencies) + 1)]
     assert "Remove worker" in cluster.log() or "Removing" in cluster.log()
     run_sweep(plan, tmp_path / "here", 1)
     assert chunks_of(tmp_path / "far") == chunks_of(tmp_path / "here")

@@ -62,8 +62,8 @@ def test_a_robot_whose_actions_are_words_swims_by_them(
     log = fk.load_run("run.h5")
     assert set(log.actions) <= names and log.log.action_names == tuple(a.name for a in robot.actions)
     assert set() < set(re.findall(r", (\S+) cost ", run.stderr)) <= set(log.actions)
-    told = frogkick(capsys, "log", "show", "run.h5", "--out", "run.png", "--json").json
-    assert set(told["actions"]) == set(log.actions) and Path("run.png").stat().st_size
+    output = frogkick(capsys, "log", "show", "run.h5", "--out", "run.png", "--json").json
+    assert set(output["actions"]) == set(log.actions) and Path("run.png").stat().st_size
     replayed = frogkick(
         capsys, "replay", "run.h5", "--model", file, "--tables", "tri.fkt", "--robot", "pool", "--json"
     )
@@ -95,9 +95,9 @@ def test_an_image_is_the_same_whatever_its_actions_are_called() -> None:
 def test_other_names_are_refused_in_one_line(name: str) -> None:
     with pytest.raises(
         InputError, match=r"action.1.name is .*: give a letter, or a word of up to 20"
-    ) as told:
+    ) as raised:
         parse_robot(rig.robot().toml.replace('name = "B"', f"name = {name}"), "mine.toml")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
     text = rig.robot().toml.replace('name = "B"', 'name = "kick"')
     with pytest.raises(InputError, match="two actions are called 'KICK'"):
         parse_robot(text.replace('name = "C"', 'name = "Kick"'), "mine.toml")

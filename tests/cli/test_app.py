@@ -29,9 +29,9 @@ WIDTH = 80
 
 @pytest.mark.parametrize("names", NAMES, ids=" ".join)
 def test_every_command_is_found_and_says_what_it_does(names: list[str]) -> None:
-    told = CliRunner().invoke(app, [*names, "--help"])
-    assert told.exit_code == 0 and told.stdout.startswith(f"Usage: frogkick {' '.join(names)} ")
-    assert "--install-completion" not in told.stdout and "╭" not in told.stdout
+    output = CliRunner().invoke(app, [*names, "--help"])
+    assert output.exit_code == 0 and output.stdout.startswith(f"Usage: frogkick {' '.join(names)} ")
+    assert "--install-completion" not in output.stdout and "╭" not in output.stdout
 
 
 @pytest.mark.parametrize("group", [[], ["log"], ["study"]], ids=["all", "log", "study"])
@@ -48,10 +48,10 @@ def test_the_list_says_each_command_in_one_line(group: list[str]) -> None:
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_no_sentence_of_a_group_is_cut(group: str) -> None:
-    told = CliRunner().invoke(app, [group, "-h"])
-    assert told.exit_code == 0 and "Commands:" in told.stdout
-    assert not [line for line in told.stdout.splitlines() if line.endswith("...") and "Usage" not in line]
-    assert LONGER.get(group, COMMANDS[group][1]) in " ".join(told.stdout.split())
+    output = CliRunner().invoke(app, [group, "-h"])
+    assert output.exit_code == 0 and "Commands:" in output.stdout
+    assert not [line for line in output.stdout.splitlines() if line.endswith("...") and "Usage" not in line]
+    assert LONGER.get(group, COMMANDS[group][1]) in " ".join(output.stdout.split())
 
 
 @pytest.mark.parametrize(
@@ -67,12 +67,12 @@ def test_a_shell_completes_commands(words: str, offered: set[str]) -> None:
 
 
 def test_the_version_is_one_line() -> None:
-    told = CliRunner().invoke(app, ["--version"])
-    assert (told.exit_code, told.stdout) == (0, f"frogkick {frogkick.__version__}\n")
+    output = CliRunner().invoke(app, ["--version"])
+    assert (output.exit_code, output.stdout) == (0, f"frogkick {frogkick.__version__}\n")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "message"),
     [
         (["--help"], 0, "Usage: frogkick "),
         ([], 2, "Usage: frogkick "),
@@ -85,7 +85,7 @@ def test_the_version_is_one_line() -> None:
     ],
     ids=["help", "nothing", "group", "group's help", "typo", "h", "version", "group's typo"],
 )
-def test_nothing_is_loaded_before_a_command_is_known(arguments: list[str], code: int, told: str) -> None:
+def test_nothing_is_loaded_before_a_command_is_known(arguments: list[str], code: int, message: str) -> None:
     """Who asks what there is does not wait for physics and pictures."""
     script = (
         "import sys\n"
@@ -97,7 +97,7 @@ def test_nothing_is_loaded_before_a_command_is_known(arguments: list[str], code:
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert run.returncode == code, run.stderr
-    assert (run.stderr if code else run.stdout).startswith(told)
+    assert (run.stderr if code else run.stdout).startswith(message)
 
 
 def test_no_command_loads_what_it_does_before_it_is_asked_to() -> None:
@@ -169,8 +169,8 @@ def test_every_study_has_its_line_its_configuration_and_its_module() -> None:
 
 @pytest.mark.parametrize("command", [("run",), ("push",), ("own",), ("retune",), ("log", "fetch")])
 def test_the_help_names_every_kind_of_target(command: tuple[str, ...]) -> None:
-    told = CliRunner().invoke(app, [*command, "--help"]).stdout
-    assert all(f"{kind}:" in told for kind in KINDS)
+    output = CliRunner().invoke(app, [*command, "--help"]).stdout
+    assert all(f"{kind}:" in output for kind in KINDS)
 
 
 def test_numbers_that_stand_twice_are_the_same() -> None:
@@ -210,12 +210,12 @@ def test_one_option_names_the_robot_s_file_everywhere() -> None:
     waiting, seen = [[name] for name in COMMANDS], 0
     while waiting:
         names = waiting.pop()
-        told = CliRunner().invoke(app, [*names, "--help"]).stdout
-        if "\nCommands:\n" in told:
-            rows = told.split("\nCommands:\n")[1].splitlines()
+        output = CliRunner().invoke(app, [*names, "--help"]).stdout
+        if "\nCommands:\n" in output:
+            rows = output.split("\nCommands:\n")[1].splitlines()
             waiting += [[*names, row.split()[0]] for row in rows if row[:3].strip()]
-        elif "  --robot" in told and " ".join(names) not in talks:
-            assert "  --robot, --model" in told, names
+        elif "  --robot" in output and " ".join(names) not in talks:
+            assert "  --robot, --model" in output, names
             seen += 1
-        assert "--robot" not in told or "--model" in told or " ".join(names) in talks, names
+        assert "--robot" not in output or "--model" in output or " ".join(names) in talks, names
     assert seen > 8

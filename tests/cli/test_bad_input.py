@@ -243,7 +243,7 @@ def test_one_line_exit_two_and_nothing_written(
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "message"),
     [
         ("simulate {bad_key.toml}", "period_s"),
         ("simulate frog2023", "frog2022"),
@@ -258,8 +258,8 @@ def test_one_line_exit_two_and_nothing_written(
         ("tables info {cut_x.fkt}", "cut_x.fkt"),
     ],
 )
-def test_the_line_names_what_is_wrong(stock: Path, capsys: Capture, line: str, told: str) -> None:
-    assert told in frogkick(capsys, *words(line, stock)).stderr
+def test_the_line_names_what_is_wrong(stock: Path, capsys: Capture, line: str, message: str) -> None:
+    assert message in frogkick(capsys, *words(line, stock)).stderr
 
 
 def test_a_recorded_run_without_its_path(tmp_path: Path, frog2022_dir: Path, capsys: Capture) -> None:

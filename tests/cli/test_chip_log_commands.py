@@ -51,21 +51,26 @@ def test_a_file_keeps_what_was_fetched(fetched: FetchedLog, tmp_path: Path) -> N
 
 
 def test_what_is_in_it(fetched: FetchedLog) -> None:
-    told = fetched.summary()
-    assert (told["robot_id"], told["gaps"], told["lost"], told["faults"]) == ("frog2022", 0, 0, [])
-    assert told["starts"] == ["POWER"]
-    kinds = told["kinds"]
+    reported = fetched.summary()
+    assert (reported["robot_id"], reported["gaps"], reported["lost"], reported["faults"]) == (
+        "frog2022",
+        0,
+        0,
+        [],
+    )
+    assert reported["starts"] == ["POWER"]
+    kinds = reported["kinds"]
     assert (kinds["FIX"], kinds["START"], kinds["DISARM"]) == (60, 1, 1)
     assert kinds["DECISION"] >= 2
-    assert told["seconds"] == pytest.approx(60 * 0.08, abs=2.0)
+    assert reported["seconds"] == pytest.approx(60 * 0.08, abs=2.0)
 
 
 def test_replay(fetched: FetchedLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_log(tmp_path / "a.h5", fetched)
     assert run_command(words(tmp_path / "a.h5")) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["mismatches"], told["segments"]) == (0, 1)
-    assert told["decisions"] == len(told["actions"]) == fetched.summary()["kinds"]["DECISION"]
+    output = json.loads(capsys.readouterr().out)
+    assert (output["mismatches"], output["segments"]) == (0, 1)
+    assert output["decisions"] == len(output["actions"]) == fetched.summary()["kinds"]["DECISION"]
 
 
 def test_a_wrong_bit_is_exit_1(
@@ -78,9 +83,9 @@ def test_a_wrong_bit_is_exit_1(
     changed = ChipLog((Stretch(stretch.offset, bytes(raw)),), 0)
     write_log(tmp_path / "a.h5", FetchedLog(fetched.robot_id, fetched.table_crc, changed))
     assert run_command(words(tmp_path / "a.h5")) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["mismatches"] >= 1
-    assert told["first_mismatch"]["place"] == "log"
+    output = json.loads(capsys.readouterr().out)
+    assert output["mismatches"] >= 1
+    assert output["first_mismatch"]["place"] == "log"
 
 
 def test_what_is_refused(fetched: FetchedLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

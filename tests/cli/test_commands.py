@@ -302,8 +302,8 @@ def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, dept
         refused = frogkick(capsys, "run", *options, "--out", "never.h5")
         assert refused.code == 2 and "SOURCE_DATE_EPOCH is 'yesterday'" in refused.stderr
         assert not Path("never.h5").exists()
-    told = frogkick(capsys, "log", "show", "run.h5", "--json").json["made"]
-    assert told == {name: text for name, text in about.items() if name != "robot_toml"}
+    output = frogkick(capsys, "log", "show", "run.h5", "--json").json["made"]
+    assert output == {name: text for name, text in about.items() if name != "robot_toml"}
     replayed = frogkick(capsys, "replay", "run.h5", "--tables", rig.small_table(), "--json")
     assert replayed.code == 0
     assert {"decisions", "actions", "mismatches"} <= replayed.json.keys()
@@ -376,10 +376,10 @@ def test_two_that_want_the_same_table_at_once_both_get_it(tmp_path: Path) -> Non
         )
         for _ in range(asking)
     ]
-    told = [process.communicate(timeout=600) for process in many]
-    assert [process.returncode for process in many] == [0] * asking, told
-    assert len({stdout for stdout, _ in told}) == 1
-    assert sum("library for" in stderr for _, stderr in told) == 1, "built more than once"
+    reported = [process.communicate(timeout=600) for process in many]
+    assert [process.returncode for process in many] == [0] * asking, reported
+    assert len({stdout for stdout, _ in reported}) == 1
+    assert sum("library for" in stderr for _, stderr in reported) == 1, "built more than once"
 
 
 @pytest.mark.parametrize("plan", some(["onboard", "host", "both"], 1))
@@ -446,5 +446,5 @@ def test_results_are_read_by_people_too(here: Path, capsys: Capture) -> None:
         "    p99: 1.235", "  none: -", "rows:", "  name a, at_m 0.1, 2", "names: b, c",
     ]  # fmt: skip
     states = str(count(64, 64, 8))
-    told = frogkick(capsys, "tables", "info", rig.small_table(), "--test-states", states).stdout
-    assert "{" not in told and ": nan" not in told
+    output = frogkick(capsys, "tables", "info", rig.small_table(), "--test-states", states).stdout
+    assert "{" not in output and ": nan" not in output

@@ -43,8 +43,8 @@ def test_one_line_names_the_file(tmp_path: Path, arguments: tuple[str, ...], nam
         [sys.executable, "-c", WITHOUT_ROOM, *arguments, name],
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    told = [line for line in done.stderr.splitlines() if line.startswith("frogkick: ")]
-    assert told == [f"frogkick: cannot write {name!r}: File too large; make room or choose another --out"]
+    output = [line for line in done.stderr.splitlines() if line.startswith("frogkick: ")]
+    assert output == [f"frogkick: cannot write {name!r}: File too large; make room or choose another --out"]
     assert "Traceback" not in done.stderr and done.returncode == 2
     assert list(tmp_path.iterdir()) == []
 
@@ -112,8 +112,8 @@ def test_a_module_that_a_full_disk_cut_short_is_named(tmp_path: Path) -> None:
     (kept,) = (tmp_path / "kept").rglob(f"cli/{name}")
     kept.write_bytes(kept.read_bytes()[:1000])
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    told = done.stderr.strip()
-    assert told == (
+    output = done.stderr.strip()
+    assert output == (
         f"frogkick: {str(kept)!r} is cut short, for example because the disk was full: "
         "delete it, and it is made again"
     )
@@ -160,8 +160,8 @@ def test_a_library_looks_for_room_before_it_is_written(
         fk.InputError, match=r"another library \(frog2022 \w{8}, 16 states, seed 0, box, 0 s\)"
     ):
         fk.build_library(robot, states=16, seed=1, workers=1, out=out)
-    told: list[int] = []
-    fk.build_library(robot, states=16, workers=1, out=out, progress=lambda done, _all: told.append(done))
-    assert told == [16 * 9] and [entry.name for entry in tmp_path.iterdir()] == ["lib.h5"]
+    reported: list[int] = []
+    fk.build_library(robot, states=16, workers=1, out=out, progress=lambda done, _all: reported.append(done))
+    assert reported == [16 * 9] and [entry.name for entry in tmp_path.iterdir()] == ["lib.h5"]
     # What is asked for is what is taken, to some kilobytes.
     assert 0 < 65536 + 16 * 9 * 64 - out.stat().st_size < 65536

@@ -88,8 +88,8 @@ def test_a_simulated_run_leaves_what_was_recorded(
     assert process.stderr is not None
     try:
         for line in process.stderr:
-            told = re.match(r"circle: (\d+)/100, ", line)
-            if told and int(told[1]) >= 20:
+            reported = re.match(r"circle: (\d+)/100, ", line)
+            if reported and int(reported[1]) >= 20:
                 break
         os.kill(process.pid, signal.SIGINT)
         _, stderr = process.communicate(timeout=300)

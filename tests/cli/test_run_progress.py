@@ -51,13 +51,13 @@ def test_progress_comes_with_the_plan_its_cost_and_the_distance() -> None:
 
 
 def test_the_command_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    told = frogkick(
+    output = frogkick(
         capsys, "run", "--robot", "pool", "--path", "line", "--tables", rig.small_table(),
         "--simulated-time", "6",
     )  # fmt: skip
-    assert told.code == 0
-    lines = [line for line in told.stderr.splitlines() if line.startswith("line: ")]
-    assert lines and all(" cost " in line and line.endswith(" mm off") for line in lines), told.stderr
+    assert output.code == 0
+    lines = [line for line in output.stderr.splitlines() if line.startswith("line: ")]
+    assert lines and all(" cost " in line and line.endswith(" mm off") for line in lines), output.stderr
 
 
 @pytest.mark.parametrize(
@@ -78,9 +78,9 @@ def test_a_run_that_was_cut_short_is_a_failure(
     whole = fk.run(rig.small_table(), "line", time_limit_s=3.0)
     cut = dataclasses.replace(whole, notes=ended)
     monkeypatch.setattr(fk, "run", lambda *_given, **_named: cut)
-    told = frogkick(capsys, "run", "--tables", rig.small_table(), "--json")
-    assert told.json["ended"] == ended and told.code == (1 if words else 0)
-    assert words in told.stderr and ("the path was not completed" in told.stderr) is bool(words)
+    output = frogkick(capsys, "run", "--tables", rig.small_table(), "--json")
+    assert output.json["ended"] == ended and output.code == (1 if words else 0)
+    assert words in output.stderr and ("the path was not completed" in output.stderr) is bool(words)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such locks")
@@ -88,11 +88,11 @@ def test_two_runs_do_not_write_one_file(tmp_path: Path, capsys: pytest.CaptureFi
     out = tmp_path / "run.h5"
     asked = ("run", "--robot", "pool", "--tables", rig.small_table(), "--simulated-time", "2", "--out", out)
     with sole_writer(out):
-        told = frogkick(capsys, *asked)
-        assert (told.code, told.stdout) == (2, "")
+        output = frogkick(capsys, *asked)
+        assert (output.code, output.stdout) == (2, "")
         assert (
             f"another process is about to write {str(out)!r}: wait for it, or give another --out"
-            in told.stderr
+            in output.stderr
         )
     assert frogkick(capsys, *asked).code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]

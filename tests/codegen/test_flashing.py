@@ -115,8 +115,8 @@ def test_what_is_no_image_is_refused(image: Path, tmp_path: Path) -> None:
 def test_the_command(
     image: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], words: str
 ) -> None:
-    told = frogkick(
+    output = frogkick(
         capsys, "firmware", "flash", *[str(image) if word == "IMAGE" else word for word in options]
     )
-    assert (told.code, told.stdout) == (2, "")
-    assert told.stderr.count("\n") == 1 and words in told.stderr, told.stderr
+    assert (output.code, output.stdout) == (2, "")
+    assert output.stderr.count("\n") == 1 and words in output.stderr, output.stderr

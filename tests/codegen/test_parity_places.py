@@ -192,8 +192,8 @@ def test_a_loop_has_what_makes_estimates_hard(built: Built) -> None:
     loop = loop_of(built, PlanConfig())
     frames = FrameCollector().feed(b"".join(call.stream for call in loop.calls))
     names = link_layout().status_name
-    told = {names(int(frame.values["status"])) for frame in frames if frame.name == "FIX"}
-    assert {"OK", "DOUBLE", "OUTLIER"} <= told
+    answer = {names(int(frame.values["status"])) for frame in frames if frame.name == "FIX"}
+    assert {"OK", "DOUBLE", "OUTLIER"} <= answer
     assert any(any(decision.lost) for decision in loop.decisions)
     made = {names(int(frame.values["status"])) for frame in frames if frame.name == "DECISION"}
     assert made == {"OK", "STALE"}

@@ -62,7 +62,7 @@ def c_plan(
 ) -> list[dict[str, Any]]:
     """What the C answers, field by field."""
     tables, route, settings = planner_c.opened(image), path_of(path), config_of(config)
-    told = []
+    reported = []
     for values, used, place in zip(states, use, along, strict=True):
         names = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
         state = state_of(dict(enumerate(used.tolist())), **dict(zip(names, values.tolist(), strict=True)))
@@ -76,8 +76,8 @@ def c_plan(
         row["predicted"] = np.array([getattr(plan.predicted, name) for name in names], np.float32).tobytes()
         row["use"] = list(plan.predicted.limb_use)
         assert plan.predicted.along_points == plan.along_points
-        told.append(row)
-    return told
+        reported.append(row)
+    return reported
 
 
 def twin_plan(
@@ -91,7 +91,7 @@ def twin_plan(
     """What the twin answers, likewise."""
     rows = plan_batch(open_image(image), path, config, states, limb_use=use, along_points=along)
     assert not rows["status"].any()
-    told = []
+    reported = []
     for row in rows:
         fields = ("action", "nearest_state", "path_index", "depth_reached", "transitions")
         one: dict[str, Any] = {name: int(row[name]) for name in fields}
@@ -99,8 +99,8 @@ def twin_plan(
             one[name] = row[name].tobytes()
         one["predicted"] = row["predicted"].tobytes()
         one["use"] = row["predicted_limb_use"].tolist()
-        told.append(one)
-    return told
+        reported.append(one)
+    return reported
 
 
 def some_states(number: int, points: int, seed: int, spread_m: float = 0.1) -> tuple[Any, Any, Any]:
@@ -249,9 +249,9 @@ def test_everything_at_its_limit_is_planned(image: bytes, cost: Cost) -> None:
         )
         use = np.array([[32767] * 8, [0] * 8], dtype=np.uint16)
         along = np.array([2.0, 0.0], dtype=np.float32)
-        told = c_plan(image, Points(corners), config, values, use, along)
-        assert told == twin_plan(image, Points(corners), config, values, use, along)
-        assert all(np.isfinite(np.frombuffer(row["cost"], np.float32)[0]) for row in told)
+        planned = c_plan(image, Points(corners), config, values, use, along)
+        assert planned == twin_plan(image, Points(corners), config, values, use, along)
+        assert all(np.isfinite(np.frombuffer(row["cost"], np.float32)[0]) for row in planned)
 
 
 @pytest.mark.parametrize("kind", IMAGES)
@@ -264,9 +264,9 @@ def test_both_costs_answer_as_the_twin_does(kind: str, depth: int) -> None:
         PlanConfig(depth=depth, **(ROUTE | {"soft_distance_m": 0.0, "look_ahead_m": 1e6, "turn_lead": 2.0})),
     ):
         path = synthetic.wave_path()
-        told = c_plan(IMAGES[kind], path, config, *states)
-        assert told == twin_plan(IMAGES[kind], path, config, *states)
-        assert {row["depth_reached"] for row in told} == {depth}
+        planned = c_plan(IMAGES[kind], path, config, *states)
+        assert planned == twin_plan(IMAGES[kind], path, config, *states)
+        assert {row["depth_reached"] for row in planned} == {depth}
 
 
 @pytest.mark.parametrize("cost", [Cost.PAPER, Cost.ROUTE])
@@ -276,8 +276,8 @@ def test_ties_take_the_lowest_first_action(cost: Cost) -> None:
     path = synthetic.wave_path(4)
     for depth in (1, 2, 3):
         some = PlanConfig(0.0, 0.0, 300.0, 0.0, depth=depth, cost=cost)
-        told = c_plan(EQUAL, path, some, *states)
-        assert told == twin_plan(EQUAL, path, some, *states)
+        planned = c_plan(EQUAL, path, some, *states)
+        assert planned == twin_plan(EQUAL, path, some, *states)
         nothing = PlanConfig(0.0, 0.0, 0.0, 0.0, depth=depth, cost=cost)
         chosen = [row["action"] for row in c_plan(EQUAL, path, nothing, *states)]
         slow = np.hypot(*states[0][:, 3:5].T) * tables.period_us * 1e-6 <= 0.375 * tables.stroke_max_m
@@ -286,7 +286,7 @@ def test_ties_take_the_lowest_first_action(cost: Cost) -> None:
         assert chosen == (slow if cost == Cost.ROUTE else np.zeros(len(slow))).astype(int).tolist()
     # The full tree by hand, of two levels: least cost first, then the lowest first action.
     if cost == Cost.PAPER:
-        found = {row["action"] for row in told}
+        found = {row["action"] for row in planned}
         assert found <= {0, 3}, "of equal actions the first"
 
 
@@ -308,16 +308,16 @@ def test_a_budget_cuts_the_search_anywhere_and_the_answer_is_the_best_so_far(
         }
         for limit in sorted({*range(1, min(whole + 3, 80)), whole - 1, whole, whole + 1, 2**32 - 1}):
             config = PlanConfig(depth=depth, transitions_max=limit, **settings)
-            told = c_plan(image, path, config, *states)
-            assert told == twin_plan(image, path, config, *states)
-            for index, row in enumerate(told):
+            planned = c_plan(image, path, config, *states)
+            assert planned == twin_plan(image, path, config, *states)
+            for index, row in enumerate(planned):
                 assert row["transitions"] <= max(limit, 5)
                 reached.add((depth, row["depth_reached"]))
                 if row["depth_reached"] == depth:
                     assert row["action"] == alone[depth][index]["action"]
                     assert row["cost"] == alone[depth][index]["cost"]
             if limit <= 5:
-                assert [row["action"] for row in told] == [row["action"] for row in alone[1]]
+                assert [row["action"] for row in planned] == [row["action"] for row in alone[1]]
     assert reached == {(1, 1), (2, 1), (2, 2), (3, 1), (3, 2), (3, 3)}
 
 
@@ -347,9 +347,9 @@ def test_degenerate_paths_are_planned_along(shape: str, kind: str) -> None:
     for depth in (1, 2):
         for settings in ({}, ROUTE, ROUTE | {"look_ahead_m": 0.0}):
             config = PlanConfig(depth=depth, **settings)
-            told = c_plan(IMAGES[kind], Points(points), config, states, use, along)
-            assert told == twin_plan(IMAGES[kind], Points(points), config, states, use, along)
-            assert all(np.isfinite(np.frombuffer(row["predicted"], np.float32)).all() for row in told)
+            planned = c_plan(IMAGES[kind], Points(points), config, states, use, along)
+            assert planned == twin_plan(IMAGES[kind], Points(points), config, states, use, along)
+            assert all(np.isfinite(np.frombuffer(row["predicted"], np.float32)).all() for row in planned)
 
 
 def test_a_place_on_the_path_is_found_again_and_a_far_robot_keeps_its_own() -> None:
@@ -381,6 +381,6 @@ def test_a_robot_at_its_look_ahead_has_no_direction_to_take() -> None:
     config = PlanConfig(depth=1, **(ROUTE | {"look_ahead_m": 0.0, "progress_weight_per_m": 0.0}))
     states = np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=np.float32)
     use, along = np.zeros((1, 8), dtype=np.uint16), np.zeros(1, dtype=np.float32)
-    (told,) = c_plan(STILL, Points(POINTS), config, states, use, along)
-    assert np.frombuffer(told["cost"], np.float32)[0] == 0.0
-    assert [told] == twin_plan(STILL, Points(POINTS), config, states, use, along)
+    (planned,) = c_plan(STILL, Points(POINTS), config, states, use, along)
+    assert np.frombuffer(planned["cost"], np.float32)[0] == 0.0
+    assert [planned] == twin_plan(STILL, Points(POINTS), config, states, use, along)

@@ -37,13 +37,13 @@ def test_every_line_and_branch_of_the_planner_runs(tmp_path: Path) -> None:
     run = subprocess.run(tests, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout[-3000:]
     notes = [f"planner.so-{Path(name).stem}.gcno" for name in PLANNER_SOURCES]
-    told = subprocess.run(
+    output = subprocess.run(
         ["gcov", "-b", *notes], cwd=tmp_path, capture_output=True, text=True, check=True
     ).stdout
     missed: dict[str, list[str]] = {}
     untaken: dict[str, str] = {}
     for name in (*PLANNER_SOURCES, *HEADERS):
-        part = told.split(f"File '{name}'\n", 1)[1].split("\n\n", 1)[0]
+        part = output.split(f"File '{name}'\n", 1)[1].split("\n\n", 1)[0]
         found = re.findall(r"(Lines executed|Taken at least once):([\d.]+)% of (\d+)", part)
         print(name, *(f"{what} {percent} % of {number}" for what, percent, number in found), sep=": ")
         listing = (tmp_path / f"{name}.gcov").read_text(encoding="utf-8")

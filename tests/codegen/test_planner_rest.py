@@ -30,9 +30,9 @@ def decided(image: bytes, config: PlanConfig, *velocities: tuple[float, float, f
     """Actions of the C, which are the twin's, from all around the path's start, at velocities."""
     states = np.array([[*place, *speed] for speed in velocities for place in PLACES], dtype=np.float32)
     given = (PATH, config, states, np.zeros((len(states), 8), np.uint16), np.zeros(len(states), np.float32))
-    told = c_plan(image, *given)
-    assert told == twin_plan(image, *given)
-    return [row["action"] for row in told]
+    planned = c_plan(image, *given)
+    assert planned == twin_plan(image, *given)
+    return [row["action"] for row in planned]
 
 
 def table(rows: list[tuple[str, int, int]]) -> bytes:

@@ -69,9 +69,9 @@ class Asking:
 
     def ask(self, name: str, values: object = None, rows: object = (), timeout_s: float = 1.0) -> dict:
         self.asked += 1
-        told = self.robot.ask(name, values)
+        answer = self.robot.ask(name, values)
         self.between()
-        return told
+        return answer
 
     def ask_all(self, name: str, many: Sequence[tuple[object, object]], timeout_s: float = 1.0) -> list[dict]:
         return [self.ask(name, values, rows, timeout_s) for values, rows in many]

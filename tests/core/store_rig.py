@@ -100,11 +100,11 @@ class Flash:
 
     def chunks(self, image: bytes) -> list[str]:
         """All chunks that are left."""
-        told = []
+        reported = []
         while self.store.next_offset < len(image):
             at = self.store.next_offset
-            told.append(self.chunk(at, image[at : at + 128]))
-        return told
+            reported.append(self.chunk(at, image[at : at + 128]))
+        return reported
 
     def commit(self) -> str:
         return self._status(self.lib.fk_store_commit(self.store, self.error))

@@ -139,9 +139,9 @@ def test_a_command_that_was_recorded_acts_once(name: str) -> None:
 def test_what_the_host_says_or_the_robot_cannot_be_sent_back() -> None:
     """A robot's proof is no code of a command, nor is a command's code a proof; nonces differ each time."""
     robot, _ = owned()
-    told = [robot.ask("CHALLENGE", auth.words("nonce", bytes(16))) for _ in range(3)]
-    assert len({told["nonce_0"] for told in told}) == 3
-    for answer in told:
+    reported = [robot.ask("CHALLENGE", auth.words("nonce", bytes(16))) for _ in range(3)]
+    assert len({reported["nonce_0"] for reported in reported}) == 3
+    for answer in reported:
         proof, nonce = auth.from_words("proof", answer, 4), auth.from_words("nonce", answer, 4)
         for code in (proof[:8], proof[8:], nonce[:8], hmac.digest(KEY, bytes(16) + nonce, "sha256")[:8]):
             body = struct.pack("<I", 1) + code
@@ -282,11 +282,11 @@ def test_a_power_cut_while_a_key_is_written_leaves_the_old_or_the_new_one() -> N
         for how in range(3):
             robot, flash = owned()
             flash.cut(cut, how, cut)
-            told = own(robot, OTHER)
+            reported = own(robot, OTHER)
             cut_short = bool(flash.sim.dead)
             assert flash.boot() == 0
             key = b"".join(struct.pack("<I", word) for word in flash.store.record.owner_key)
-            assert key in (KEY, OTHER) and (told != "OK" or cut_short or key == OTHER)
+            assert key in (KEY, OTHER) and (reported != "OK" or cut_short or key == OTHER)
             outcomes.add((cut_short, key == OTHER))
     assert {(True, False), (False, True)} <= outcomes
 

@@ -44,12 +44,12 @@ def test_every_line_of_the_core_runs(tmp_path: Path) -> None:
     run = subprocess.run(tests, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout[-3000:]
     notes = [f"core.so-{Path(name).stem}.gcno" for name in SOURCES]
-    told = subprocess.run(
+    output = subprocess.run(
         ["gcov", "-b", *notes], cwd=tmp_path, capture_output=True, text=True, check=True
     ).stdout
     untaken: set[str] = set()
     for name in SOURCES:
-        part = told.split(f"File '{name}'\n", 1)[1].split("\n\n", 1)[0]
+        part = output.split(f"File '{name}'\n", 1)[1].split("\n\n", 1)[0]
         lines = re.search(r"Lines executed:([\d.]+)% of (\d+)", part)
         branches = re.search(r"Taken at least once:([\d.]+)% of (\d+)", part)
         assert lines is not None and (branches is not None or "No branches" in part), part

@@ -106,14 +106,14 @@ def test_a_run_without_progress_ends_and_says_so() -> None:
     robot.path()
     robot.keep = True
     assert robot.fix() == robot.start() == "OK"
-    told: list[Frame] = []
-    while not any(frame.name == "ENDED" for frame in told):
+    reported: list[Frame] = []
+    while not any(frame.name == "ENDED" for frame in reported):
         robot.run_until(robot.now_us + 200_000)
-        told += robot.take_all()
+        reported += robot.take_all()
         assert robot.now_us < 100 * PERIOD_US
         robot.fix()
-    assert told[-1].values["status"] == STATUS["STALLED"]
-    assert told[-1].values["decisions"] == 41
+    assert reported[-1].values["status"] == STATUS["STALLED"]
+    assert reported[-1].values["decisions"] == 41
 
 
 def test_events_stand_before_the_answers_to_later_commands() -> None:
@@ -136,10 +136,10 @@ def test_decisions_that_nobody_takes_are_counted_as_dropped() -> None:
             "x_m": 0.1, "y_m": 0.0, "heading_rad": 0.0,
         })  # fmt: skip
     delivered = robot.take()
-    told = robot.ask("STATUS")
+    status = robot.ask("STATUS")
     decisions = [frame for frame in delivered if frame.name == "DECISION"]
-    assert 0 < len(decisions) < int(told["decisions"]) == 12
-    assert told["answers_dropped"] == 12 + fixes - len(delivered)
+    assert 0 < len(decisions) < int(status["decisions"]) == 12
+    assert status["answers_dropped"] == 12 + fixes - len(delivered)
     sequences = [frame.sequence for frame in decisions]
     assert sequences == [frame.values["decision"] for frame in decisions], "the gaps show what was lost"
 
@@ -160,8 +160,8 @@ def test_a_late_port_makes_up_for_decisions_at_their_own_times() -> None:
     robot.now_us += PERIOD_US + 7
     pulses = robot.run_until(robot.now_us + 300_000)
     first, refused, second = events(robot)
-    told = [(frame.values["scheduled_us"], frame.values["status"]) for frame in (first, second)]
-    assert told == [(first_us, 0), (first_us + PERIOD_US, STALE)]
+    answer = [(frame.values["scheduled_us"], frame.values["status"]) for frame in (first, second)]
+    assert answer == [(first_us, 0), (first_us + PERIOD_US, STALE)]
     assert refused.name == "REFUSED" and pulses == [], "the first decision's stroke comes when its fix is old"
 
 
@@ -199,8 +199,8 @@ def test_the_period_is_that_of_param() -> None:
     assert robot.fix() == "OK"
     first_us = int(robot.ask("START", {"delay_us": 0})["first_decision_us"])
     robot.run_until(first_us + 2_000_000)
-    told = [frame.values["scheduled_us"] for frame in events(robot) if frame.name == "DECISION"]
-    assert told == [first_us, first_us + 700_000, first_us + 1_400_000]
+    answer = [frame.values["scheduled_us"] for frame in events(robot) if frame.name == "DECISION"]
+    assert answer == [first_us, first_us + 700_000, first_us + 1_400_000]
 
 
 @pytest.mark.parametrize("depth", [1, 2, 3, 4])
@@ -216,11 +216,11 @@ def test_the_depth_is_that_of_param(depth: int) -> None:
     names = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
     assert robot.status("STOP") == "OK"
     state = {name: values[name] for name in (*names, *LIMB_USE_FIELDS)}
-    told = robot.ask("PLAN", {"depth": depth, **state, "along_points": 0.0})
-    assert (told["action"], told["cost"], told["path_index"]) == (
+    answer = robot.ask("PLAN", {"depth": depth, **state, "along_points": 0.0})
+    assert (answer["action"], answer["cost"], answer["path_index"]) == (
         values["action"], values["cost"], values["path_index"],
     )  # fmt: skip
-    assert [told[name] for name in names] == [values["predicted_" + name] for name in names]
+    assert [answer[name] for name in names] == [values["predicted_" + name] for name in names]
 
 
 def test_the_computing_time_travels_in_the_event() -> None:
@@ -291,7 +291,7 @@ def test_two_hundred_decisions_with_a_bad_camera_are_the_twins() -> None:
 def test_a_stroke_that_does_not_begin_is_no_use_of_its_limbs(command: str) -> None:
     robot = Robot(synthetic.affine_image(60, len(ACTION_ROWS), action_rows=ACTION_ROWS)).begin("ARMED")
     robot.path()
-    told = []
+    reported = []
     for take_back in (False, True):
         assert robot.stroke("A") == "OK"
         if take_back:
@@ -303,11 +303,11 @@ def test_a_stroke_that_does_not_begin_is_no_use_of_its_limbs(command: str) -> No
         assert robot.start(1000) == "OK"
         robot.run_until(robot.now_us + 2000)
         (decision, *_) = events(robot)
-        told.append([decision.values[name] for name in LIMB_USE_FIELDS])
+        reported.append([decision.values[name] for name in LIMB_USE_FIELDS])
         assert robot.status("DISARM") == "OK"
         robot.run_until(robot.now_us + 30 * PERIOD_US)
         assert robot.status("ARM") == "OK"
-    assert max(told[0]) > 0 and max(told[1]) == 0
+    assert max(reported[0]) > 0 and max(reported[1]) == 0
 
 
 @pytest.mark.parametrize(("plan_us", "transitions"), [(1, 7), (0, 7 + 56), (500_000, 7 + 56)])

@@ -178,7 +178,7 @@ def test_old_and_out_of_range_fixes_change_nothing() -> None:
 @pytest.mark.parametrize("speed", [0, 1])
 def test_a_state_that_is_no_number_is_given_up(value: float, speed: int) -> None:
     """Nothing makes one here; if it is there, fixes are refused until the track starts again by them."""
-    told = []
+    reported = []
     for made in (CEstimator(), Twin()):
         for k in range(3):
             assert made.add(10**6 + k * 66_000, np.array([0.1, 0, 0], np.float32), k) == 0
@@ -191,8 +191,8 @@ def test_a_state_that_is_no_number_is_given_up(value: float, speed: int) -> None
         found = made.at(10**6 + PERIOD_US + 500_000)
         assert said[-1] == 0 and found is not None
         assert np.isfinite(np.frombuffer(found[0], np.float32)).all()
-        told.append((said, found))
-    assert told[0] == told[1]
+        reported.append((said, found))
+    assert reported[0] == reported[1]
 
 
 def test_the_limbs_use_is_counted_with_and_without_fixes() -> None:
@@ -264,7 +264,7 @@ def test_tables_of_strange_periods(period_us: int, monkeypatch: pytest.MonkeyPat
     name = str(period_us)
     strange = partial(image, period_us=period_us, pulse_us=9000, second_delay_us=9000)
     monkeypatch.setitem(IMAGES, name, strange)
-    told: list[list[object]] = []
+    reported: list[list[object]] = []
     for made in (CEstimator(name), Twin(name)):
         said: list[object] = [
             made.add(10**6 + k * 30_000, np.array([0.1, 0, 0], np.float32), k) for k in range(9)
@@ -277,9 +277,9 @@ def test_tables_of_strange_periods(period_us: int, monkeypatch: pytest.MonkeyPat
             made.add(last_us + 5000 + k, np.array([0.1, 0, k * 1e-3], np.float32), 10 + k) for k in range(9)
         ]
         said += [made.at(last_us + 6000), made.inside()]
-        told.append(said)
-    assert told[0] == told[1]
-    assert (told[0][10] is None) == (period_us == 20_000)
+        reported.append(said)
+    assert reported[0] == reported[1]
+    assert (reported[0][10] is None) == (period_us == 20_000)
 
 
 def test_across_pi_the_heading_turns_the_short_way_for_any_number_of_turns() -> None:

@@ -27,20 +27,20 @@ def fuzz(files: dict[str, bytes], frames: int, seed: int = 1) -> tuple[str, dict
     table = image()
     aligned = FFI.new("uint64_t[]", (len(table) + 7) // 8)
     FFI.memmove(aligned, table, len(table))
-    told = FFI.new("uint64_t[5]")
-    wrong = library(files).fk_fuzz(FFI.cast("uint8_t *", aligned), len(table), seed, frames, told)
-    return (FFI.string(wrong).decode() if wrong else ""), dict(zip(COUNTS, map(int, told), strict=True))
+    reported = FFI.new("uint64_t[5]")
+    wrong = library(files).fk_fuzz(FFI.cast("uint8_t *", aligned), len(table), seed, frames, reported)
+    return (FFI.string(wrong).decode() if wrong else ""), dict(zip(COUNTS, map(int, reported), strict=True))
 
 
 def test_a_million_frames() -> None:
     frames = cases(100_000, 10_000_000)
-    wrong, told = fuzz(source_files(), frames)
-    print(f"{frames} frames: {told}")
+    wrong, reported = fuzz(source_files(), frames)
+    print(f"{frames} frames: {reported}")
     assert wrong == ""
-    assert told["good"] + told["bad"] >= frames
-    assert min(told["good"], told["bad"]) > 0.2 * frames
-    assert told["answers"] == told["good"]
-    assert told["pulses"] > 1e-4 * frames and told["repeats"] > 1e-3 * frames
+    assert reported["good"] + reported["bad"] >= frames
+    assert min(reported["good"], reported["bad"]) > 0.2 * frames
+    assert reported["answers"] == reported["good"]
+    assert reported["pulses"] > 1e-4 * frames and reported["repeats"] > 1e-3 * frames
 
 
 BROKEN = {
@@ -168,9 +168,9 @@ NO_GCC = pytest.mark.skipif(
 @from_ci
 @pytest.mark.parametrize("way", ["zig", pytest.param("gcc", marks=[NO_GCC, pytest.mark.extra])])
 def test_inputs_guided_by_coverage_under_sanitizers(way: str, tmp_path: Path) -> None:
-    told = guided(tmp_path, way, source_files(), count(20_000, 1_000_000, 5000))
-    assert not told.startswith("failed"), told
-    inputs, of_seeds, kept, places = map(int, told.split())
+    reported = guided(tmp_path, way, source_files(), count(20_000, 1_000_000, 5000))
+    assert not reported.startswith("failed"), reported
+    inputs, of_seeds, kept, places = map(int, reported.split())
     print(f"{way}: {inputs} inputs, {of_seeds} kept of the seeds, {kept} in all, {places} places reached")
     assert kept > 2 * of_seeds > 40, "coverage guides"
 
@@ -190,8 +190,10 @@ def test_a_planted_fault_is_found_by_the_monitor(name: str, tmp_path: Path) -> N
     text = files[file].decode()
     assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times: correct the mutation"
     files[file] = text.replace(old, new).encode()
-    told = guided(tmp_path, "gcc", files, 20_000)
-    assert told.startswith("failed") and ("AddressSanitizer" in told or "runtime error" in told), told
+    reported = guided(tmp_path, "gcc", files, 20_000)
+    assert reported.startswith("failed") and (
+        "AddressSanitizer" in reported or "runtime error" in reported
+    ), reported
 
 
 @pytest.mark.extra

@@ -136,14 +136,14 @@ def test_a_run_tells_what_was_lived_through() -> None:
     robot, _ = robot_with_log()
     robot.begin("RUNNING")
     robot.run_until(robot.now_us + 1_200_000)
-    told = names(fetched(robot))
-    snapshot = told.count("SNAPSHOT")
-    assert told[:2] == ["BOOT", "OFF"]
-    assert [name for name in told[2:] if name != "SNAPSHOT"] == [
+    reported = names(fetched(robot))
+    snapshot = reported.count("SNAPSHOT")
+    assert reported[:2] == ["BOOT", "OFF"]
+    assert [name for name in reported[2:] if name != "SNAPSHOT"] == [
         "ARM", "STATE", "PATH", "PATH", "FIX", "START", "STATE",
         "DECISION", "STROKE", "BEGUN",
-        *(["PULSE"] if "PULSE" in told else []), *(["REFUSED"] if "REFUSED" in told else []),
-        *(["PULSE"] if told.count("PULSE") == 2 else []),
+        *(["PULSE"] if "PULSE" in reported else []), *(["REFUSED"] if "REFUSED" in reported else []),
+        *(["PULSE"] if reported.count("PULSE") == 2 else []),
     ]  # fmt: skip
     assert snapshot > 0
     boot = fetched(robot).records()[0][0].values
@@ -189,10 +189,10 @@ def test_a_first_fetch_begins_at_a_record_also_where_offsets_go_round() -> None:
     shift = 2**32 - 20  # offset 0 is in the middle of a record
     log.words[1], log.words[2] = shift, (shift + log.word(2)) % 2**32
     robot.begin("ARMED")
-    told = fetched(robot)
-    assert (told.stretches[0].offset, len(told.stretches)) == (shift, 1)
-    assert names(told)[:3] == ["BOOT", "OFF", "SNAPSHOT"]
-    assert fetched(robot, told) == told
+    reported = fetched(robot)
+    assert (reported.stretches[0].offset, len(reported.stretches)) == (shift, 1)
+    assert names(reported)[:3] == ["BOOT", "OFF", "SNAPSHOT"]
+    assert fetched(robot, reported) == reported
 
 
 def test_what_is_overwritten_during_a_fetch_leaves_a_gap() -> None:
@@ -207,11 +207,11 @@ def test_what_is_overwritten_during_a_fetch_leaves_a_gap() -> None:
                 robot.path(18)
 
     asking.between = flood
-    told = fetch_log(asking)
-    assert len(told.stretches) == 2
-    assert told.lost == log.word(4) > 0
-    assert all(record.name != "DAMAGED" for records in told.records() for record in records)
-    first, second = told.stretches
+    reported = fetch_log(asking)
+    assert len(reported.stretches) == 2
+    assert reported.lost == log.word(4) > 0
+    assert all(record.name != "DAMAGED" for records in reported.records() for record in records)
+    first, second = reported.stretches
     assert second.offset > first.offset + len(first.content)
 
 
@@ -276,10 +276,10 @@ def test_an_answer_that_is_lost_is_asked_for_again() -> None:
 
     class Lossy(Asking):
         def ask(self, *words: object, **more: object) -> dict:
-            told = super().ask(*words, **more)
+            answer = super().ask(*words, **more)
             if self.asked % 3:
                 raise LinkError("lost")
-            return told
+            return answer
 
     assert fetch_log(Lossy(robot)) == fetched(robot)
 

@@ -78,22 +78,22 @@ def decisions_of(log: ChipLog) -> int:
 @pytest.mark.parametrize("seed", range(cases(3, 30)))
 def test_a_run_is_decided_again(seed: int) -> None:
     log = fetched(run(seed))
-    told = replayed(log)
-    assert told.mismatches == []
-    assert len(told.decisions) == decisions_of(log) >= 8
-    assert any(decision.status == 0 for decision in told.decisions)
-    assert told.segments == 1
-    assert told.records - told.replayed < 12, "BOOT to ARM"
+    reported = replayed(log)
+    assert reported.mismatches == []
+    assert len(reported.decisions) == decisions_of(log) >= 8
+    assert any(decision.status == 0 for decision in reported.decisions)
+    assert reported.segments == 1
+    assert reported.records - reported.replayed < 12, "BOOT to ARM"
 
 
 def test_a_ring_that_has_lost_its_begin_is_decided_again_from_its_first_snapshot() -> None:
     log = fetched(run(1, 60.0))
     assert log.lost > 100
-    told = replayed(log)
-    assert told.mismatches == []
-    assert told.segments == 1
-    assert 8 < len(told.decisions) <= decisions_of(log)
-    assert told.replayed > 0.5 * told.records
+    reported = replayed(log)
+    assert reported.mismatches == []
+    assert reported.segments == 1
+    assert 8 < len(reported.decisions) <= decisions_of(log)
+    assert reported.replayed > 0.5 * reported.records
 
 
 DOINGS = (
@@ -132,9 +132,9 @@ def test_everything_a_host_can_do() -> None:
                 robot.status(what)
             if dice.random() < 0.5:
                 robot.tick()
-        told = replayed(fetched(robot))
-        assert told.mismatches == [], f"seed {seed}"
-        assert told.segments >= 1, f"seed {seed}"
+        reported = replayed(fetched(robot))
+        assert reported.mismatches == [], f"seed {seed}"
+        assert reported.segments >= 1, f"seed {seed}"
 
 
 def changed(log: ChipLog, chosen: Record, content: bytes, fitting: bool) -> ChipLog:
@@ -172,12 +172,12 @@ def test_every_wrong_bit_is_a_mismatch() -> None:
         for bit in dice.sample(range(size), min(size, cases(4, 2000))):
             content = bytearray(record.content)
             content[bit // 8] ^= 1 << bit % 8
-            told = replayed(changed(log, record, bytes(content), fitting=False))
-            assert [m.place for m in told.mismatches] == ["log"], f"{name}, bit {bit}"
+            reported = replayed(changed(log, record, bytes(content), fitting=False))
+            assert [m.place for m in reported.mismatches] == ["log"], f"{name}, bit {bit}"
             if name == "FIX" and 8 <= bit < 56:
                 continue  # its number, quality and age, which need not matter
-            told = replayed(changed(log, record, bytes(content), fitting=True))
-            assert told.mismatches != [], f"{name}, bit {bit}"
+            reported = replayed(changed(log, record, bytes(content), fitting=True))
+            assert reported.mismatches != [], f"{name}, bit {bit}"
 
 
 def test_a_wrong_bit_of_a_snapshot_is_a_mismatch() -> None:
@@ -190,9 +190,9 @@ def test_a_wrong_bit_of_a_snapshot_is_a_mismatch() -> None:
     for record in parts[:: count(1, 1, 4)]:
         content = bytearray(record.content)
         content[dice.randrange(7, len(content))] ^= 1 << dice.randrange(8)
-        told = replayed(changed(log, record, bytes(content), fitting=False))
-        assert [(m.place, m.offset) for m in told.mismatches] == [("log", record.offset)]
-        assert 1 <= told.segments < whole
+        reported = replayed(changed(log, record, bytes(content), fitting=False))
+        assert [(m.place, m.offset) for m in reported.mismatches] == [("log", record.offset)]
+        assert 1 <= reported.segments < whole
 
 
 def test_a_fetch_with_a_gap_goes_on_at_the_next_snapshot() -> None:
@@ -201,8 +201,8 @@ def test_a_fetch_with_a_gap_goes_on_at_the_next_snapshot() -> None:
     live(robot, robot.now_us + 60_000_000, random.Random(5))
     log = fetched(robot, known)
     assert len(log.stretches) == 2
-    told = replayed(log)
-    assert (told.mismatches, told.segments) == ([], 2)
+    reported = replayed(log)
+    assert (reported.mismatches, reported.segments) == ([], 2)
 
 
 def test_fixes_that_were_not_logged_begin_anew() -> None:
@@ -214,17 +214,17 @@ def test_fixes_that_were_not_logged_begin_anew() -> None:
     robot.status("STROKE", {"action": ACTION["B"]})
     robot.run_until(robot.now_us + 1_000_000)
     log = fetched(robot)
-    told = replayed(log)
-    assert (told.mismatches, told.segments) == ([], 2)
-    assert told.replayed < told.records
+    reported = replayed(log)
+    assert (reported.mismatches, reported.segments) == ([], 2)
+    assert reported.replayed < reported.records
 
 
 def test_a_port_that_fails_is_lived_through_too() -> None:
     robot = run(6, 3.0)
     robot.core.fk_robot_note_pulse_failed(robot.memory, -7)
     robot.tick()
-    told = replayed(fetched(robot))
-    assert told.mismatches == []
+    reported = replayed(fetched(robot))
+    assert reported.mismatches == []
     assert [r.name for r in fetched(robot).records()[0]][-3:] == ["FAULT", "STATE", "OFF"]
 
 
@@ -238,8 +238,8 @@ def test_a_port_that_is_late_is_lived_through_too() -> None:
         robot.core.fk_robot_note_pulse_failed(robot.memory, LATE)
         robot.run_until(robot.now_us + 1_000_000)
     log = fetched(robot)
-    told = replayed(log)
-    assert told.mismatches == []
+    reported = replayed(log)
+    assert reported.mismatches == []
     pulses = [record.values["allowed"] for record in log.records()[0] if record.name == "PULSE"]
     assert pulses[-4:] == [1, TOO_LATE, 1, TOO_LATE]
 
@@ -278,8 +278,8 @@ def test_a_supply_that_fell_is_lived_through_too(running: bool) -> None:
     robot.status("STROKE", {"action": ACTION["B"]})
     robot.run_until(robot.now_us + 1_000_000)
     log = fetched(robot)
-    told = replayed(log)
-    assert told.mismatches == []
+    reported = replayed(log)
+    assert reported.mismatches == []
     records = log.records()[0]
     events = [record.values["event"] for record in records if record.name == "STATE"]
     assert events[-2:] == [supervisor().number("SUPPLY_LOW"), supervisor().number("ARM")]
@@ -296,8 +296,8 @@ def test_a_reset_in_between() -> None:
     again.core.fk_robot_use_log(again.memory, log.memory)
     again.begin("RUNNING")
     again.run_until(again.now_us + 3_000_000)
-    told = replayed(fetched(again))
-    assert (told.mismatches, told.segments) == ([], 2)
+    reported = replayed(fetched(again))
+    assert (reported.mismatches, reported.segments) == ([], 2)
     boots = [r for r in fetched(again).records()[0] if r.name == "BOOT"]
     assert [boot.values["continued"] for boot in boots] == [0, 1]
 
@@ -311,8 +311,8 @@ def test_an_update_of_the_table_in_between() -> None:
     swim_a_little(robot)
     robot.status("DISARM")
     robot.run_until(robot.now_us + 1_000_000)
-    told = robot.ask("TABLE_BEGIN", begin_values(NEW))
-    assert (told["status"], robot.status("ARM")) == (0, "STATE")
+    answer = robot.ask("TABLE_BEGIN", begin_values(NEW))
+    assert (answer["status"], robot.status("ARM")) == (0, "STATE")
     robot.fix(0.1)
     send(robot, NEW)
     assert robot.status("ARM") == "STATE"
@@ -368,9 +368,9 @@ def test_a_firmware_that_was_changed_is_found(name: str) -> None:
     """Its log, decided again by the core and the twin as they are."""
     file, old, new, places = DECIDES_OTHERWISE[name]
     robot, _ = robot_with_log(made=core_library(mutated(file, old, new)))
-    told = replayed(fetched(swim(robot, 1, 8.0)))
-    found = {mismatch.place for mismatch in told.mismatches}
-    assert found >= set(places.split()), told.mismatches[:3]
+    reported = replayed(fetched(swim(robot, 1, 8.0)))
+    found = {mismatch.place for mismatch in reported.mismatches}
+    assert found >= set(places.split()), reported.mismatches[:3]
     unchanged = replayed(fetched(run(1, 8.0)))
     assert unchanged.mismatches == []
 
@@ -381,17 +381,17 @@ def test_a_command_that_hung_is_the_end_of_a_segment() -> None:
     records = log.records()[0]
     place = max(i for i, record in enumerate(records) if record.command == "FIX")
     hung = records[place]
-    told = replayed(changed(log, hung, hung.content[:-1] + b"\x80", fitting=True))
-    assert (told.mismatches, told.segments) == ([], 1)
+    reported = replayed(changed(log, hung, hung.content[:-1] + b"\x80", fitting=True))
+    assert (reported.mismatches, reported.segments) == ([], 1)
     earlier = next(r for r in records[place // 2 :] if r.command == "FIX")
-    told = replayed(changed(log, earlier, earlier.content[:-1] + b"\x80", fitting=True))
-    assert [m.what for m in told.mismatches] == ["the command before it is unfinished"]
+    reported = replayed(changed(log, earlier, earlier.content[:-1] + b"\x80", fitting=True))
+    assert [m.what for m in reported.mismatches] == ["the command before it is unfinished"]
 
 
 def test_another_table_is_not_decided_by_this_one() -> None:
-    told = replay_log(fetched(run(8, 3.0)), library(), [])
-    assert (told.segments, told.replayed, told.mismatches) == (0, 0, [])
-    assert told.records > 0
+    reported = replay_log(fetched(run(8, 3.0)), library(), [])
+    assert (reported.segments, reported.replayed, reported.mismatches) == (0, 0, [])
+    assert reported.records > 0
 
 
 # The core's own side

@@ -96,13 +96,13 @@ def test_a_new_path_takes_over_without_a_stop() -> None:
 def test_the_answer_counts_the_points_of_the_new_path() -> None:
     robot = running()
     rows = line(0.05, 20)
-    told = robot.ask("PATH", {"first": 0, "total": 20, "count": 18}, rows[:18])
-    assert told == {"status": 0, "received": 18}
-    told = robot.ask("PATH", {"first": 18, "total": 20, "count": 2}, rows[18:])
-    assert told == {"status": 0, "received": 20}
+    answer = robot.ask("PATH", {"first": 0, "total": 20, "count": 18}, rows[:18])
+    assert answer == {"status": 0, "received": 18}
+    answer = robot.ask("PATH", {"first": 18, "total": 20, "count": 2}, rows[18:])
+    assert answer == {"status": 0, "received": 20}
     swims(robot, 1)
-    told = robot.ask("PATH", {"first": 18, "total": 20, "count": 2}, rows[18:])
-    assert told["status"] != 0, "it has taken over: nothing is coming any more"
+    answer = robot.ask("PATH", {"first": 18, "total": 20, "count": 2}, rows[18:])
+    assert answer["status"] != 0, "it has taken over: nothing is coming any more"
 
 
 def test_half_a_path_changes_nothing() -> None:
@@ -132,9 +132,9 @@ def test_a_part_that_comes_again_does_nothing() -> None:
     for first in (0, 18, 36):
         part = rows[first : first + 18]
         values = {"first": first, "total": 40, "count": len(part)}
-        told = robot.ask("PATH", values, part)
+        answer = robot.ask("PATH", values, part)
         robot._sequence -= 1
-        assert robot.ask("PATH", values, part) == told == {"status": 0, "received": first + len(part)}
+        assert robot.ask("PATH", values, part) == answer == {"status": 0, "received": first + len(part)}
     assert robot.ask("STATUS")["repeats"] == 3
     assert distances(swims(robot, 1)) == [0.05]
 
@@ -338,10 +338,10 @@ def same_as_the_twin(seed: int, made: Any = None) -> str:
             rows[-1] = (0.0, 9999.0, 0.0)
         send(robot, rows, dice.randint(0, 1) if kind == "half" else None)
         live(robot, robot.now_us + dice.randint(100_000, 2_500_000), dice)
-    told = replayed(fetched(robot))
-    if any(decision.status == 0 for decision in told.decisions) and not told.mismatches:
+    reported = replayed(fetched(robot))
+    if any(decision.status == 0 for decision in reported.decisions) and not reported.mismatches:
         return ""
-    return str(told.mismatches[:2])
+    return str(reported.mismatches[:2])
 
 
 @pytest.mark.parametrize("seed", range(cases(6, 60)))
@@ -361,15 +361,15 @@ def test_a_snapshot_holds_a_path_that_is_coming(parts: int) -> None:
     again, _ = robot_with_log(now_us=robot.now_us)
     assert restored(snapshot, again) == 0
     rest = [(first, line(0.05)[first : first + 18]) for first in range(18 * parts, 40, 18)]
-    told = []
+    reported = []
     for one in (robot, again):
         one._fixes = 50
         for first, part in rest:
             assert one.status("PATH", {"first": first, "total": 40, "count": len(part)}, part) == "OK"
         (frame,) = swims(one, 1)
-        told.append(frame.values)
-    assert told[0] == told[1]
-    assert round(float(told[0]["distance_m"]), 2) == 0.05
+        reported.append(frame.values)
+    assert reported[0] == reported[1]
+    assert round(float(reported[0]["distance_m"]), 2) == 0.05
 
 
 def test_the_host_makes_the_same_decisions_on_new_paths() -> None:
@@ -403,21 +403,21 @@ def test_the_host_makes_the_same_decisions_on_new_paths() -> None:
 def in_turn(made: Any = None) -> list[object]:
     """What a robot answers and does whose runs end with half a path, and with a whole one, on the way."""
     robot = Robot(made=made).begin("RUNNING")
-    told: list[object] = [distances(swims(robot, 1))]
+    reported: list[object] = [distances(swims(robot, 1))]
     for parts in (1, None):
-        told += send(robot, line(0.05), parts)
-        told += [robot.status("STOP"), robot.start()]
+        reported += send(robot, line(0.05), parts)
+        reported += [robot.status("STOP"), robot.start()]
         part = line(0.05)[18:36]
-        told.append(robot.ask("PATH", {"first": 18, "total": 40, "count": 18}, part))
-        told += [(frame.values["distance_m"], frame.values["along_points"]) for frame in swims(robot, 2)]
-    return told
+        reported.append(robot.ask("PATH", {"first": 18, "total": 40, "count": 18}, part))
+        reported += [(frame.values["distance_m"], frame.values["along_points"]) for frame in swims(robot, 2)]
+    return reported
 
 
 def test_runs_that_end_with_a_path_on_the_way() -> None:
-    told = in_turn()
+    reported = in_turn()
     refused = {"status": link_layout().status["VALUE"], "received": 0}
-    assert told[1:5] == ["OK", "OK", "OK", refused]
-    assert [one for one in told if isinstance(one, dict)] == [refused, refused]
+    assert reported[1:5] == ["OK", "OK", "OK", refused]
+    assert [one for one in reported if isinstance(one, dict)] == [refused, refused]
 
 
 def finds(made: Any) -> bool:

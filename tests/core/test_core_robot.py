@@ -103,10 +103,10 @@ def test_boots_disarmed_with_everything_off() -> None:
     assert robot.state() == "DISARMED"
     assert robot.stroke("B") == "STATE"
     assert robot.tick().limb_mask == 0
-    told = robot.ask("HELLO")
-    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (6, "frog2022", PERIOD_US)
-    assert (told["states"], told["actions"], told["limbs"], told["pulse_us"]) == (60, 7, 4, 80_000)
-    assert told["table_crc"] == zlib.crc32(robot.image[16:])
+    answer = robot.ask("HELLO")
+    assert (answer["protocol_version"], answer["robot_id"], answer["period_us"]) == (6, "frog2022", PERIOD_US)
+    assert (answer["states"], answer["actions"], answer["limbs"], answer["pulse_us"]) == (60, 7, 4, 80_000)
+    assert answer["table_crc"] == zlib.crc32(robot.image[16:])
 
 
 def raw_frame(kind: int, payload: bytes) -> bytes:
@@ -261,8 +261,8 @@ def test_parameters_and_their_limits() -> None:
         for value in (np.nan, np.inf, -np.inf):
             assert status(name, value) == "VALUE"
     robot.path()
-    told = robot.ask("PLAN", {"depth": 1, **POSE, **MOTION, **RESTED})
-    assert told["status"] == 0, "what PARAM takes, the planner takes"
+    answer = robot.ask("PLAN", {"depth": 1, **POSE, **MOTION, **RESTED})
+    assert answer["status"] == 0, "what PARAM takes, the planner takes"
     for parameter in (0, 24, 255):
         assert robot.status("PARAM", {"parameter": parameter, "value": 1.0}) == "VALUE"
 
@@ -310,10 +310,10 @@ def test_status_counts() -> None:
     robot.now_us += 200_000
     assert robot.stroke("A") == "OK"
     assert robot.tick().limb_mask == 0
-    told = robot.ask("STATUS")
-    assert told["now_us"] == robot.now_us
+    status = robot.ask("STATUS")
+    assert status["now_us"] == robot.now_us
     counters = ("fixes_used", "fixes_refused", "frames_bad", "pulses", "pulses_refused", "answers_dropped")
-    assert [told[name] for name in counters] == [1, 2, 2, 1, 1, 0]
+    assert [status[name] for name in counters] == [1, 2, 2, 1, 1, 0]
 
 
 def test_fixes() -> None:
@@ -380,13 +380,13 @@ def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
         values: dict[str, Value] = {"depth": depth, "along_points": float(place)}
         values |= {name: float(value) for name, value in zip(names, state, strict=True)}
         values |= {name: int(limb) for name, limb in zip(LIMB_USE_FIELDS, use, strict=True)}
-        told = robot.ask("PLAN", values)
-        assert told["status"] == row["status"]
+        answer = robot.ask("PLAN", values)
+        assert answer["status"] == row["status"]
         for name in ("action", "nearest_state", "path_index", "depth_reached", "transitions"):
-            assert told[name] == row[name]
-        assert [told[name] for name in LIMB_USE_FIELDS] == row["predicted_limb_use"].tolist()
+            assert answer[name] == row[name]
+        assert [answer[name] for name in LIMB_USE_FIELDS] == row["predicted_limb_use"].tolist()
         floats = ("cost", "distance_m", "along_points")
-        found = [told[name] for name in (*floats, *names)]
+        found = [answer[name] for name in (*floats, *names)]
         assert [bits(float(value)) for value in found] == [
             bits(float(value)) for value in (*(row[name] for name in floats), *row["predicted"])
         ]

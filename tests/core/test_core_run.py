@@ -217,9 +217,9 @@ def test_the_host_makes_the_same_decisions() -> None:
         robot.run_until(robot.now_us + 5_000_000)
         for frame in robot.take_all():
             if frame.name == "FIX":
-                told, number = frame.values, int(frame.values["fix_sequence"])
-                assert twin.add_fix(int(told["capture_us"]), poses[number], number) == told["status"]
-                refused += told["status"] != 0
+                answer, number = frame.values, int(frame.values["fix_sequence"])
+                assert twin.add_fix(int(answer["capture_us"]), poses[number], number) == answer["status"]
+                refused += answer["status"] != 0
             for event in events_of_frame(frame, {}) if frame.kind == "event" else ():
                 decision = twin.apply(event)
                 if decision is not None:
@@ -324,11 +324,11 @@ def test_without_fixes_no_stroke_then_disarmed() -> None:
         ended_us = robot.tick(robot.tick().next_tick_us) and robot.now_us
     robot.keep = False
     robot.run_until(first_us + 4 * PERIOD_US)
-    told = [frame for frame in robot.take_all() if frame.kind == "event"]
-    assert [frame.name for frame in told] == ["DECISION", "DECISION", "ENDED"]
-    assert [frame.values["status"] for frame in told] == [0, STALE, STALE]
-    assert told[1].values["action"] == RESTING and told[1].values["fixes_in_estimate"] == 0
-    assert told[2].values["decisions"] == 2
+    frames = [frame for frame in robot.take_all() if frame.kind == "event"]
+    assert [frame.name for frame in frames] == ["DECISION", "DECISION", "ENDED"]
+    assert [frame.values["status"] for frame in frames] == [0, STALE, STALE]
+    assert frames[1].values["action"] == RESTING and frames[1].values["fixes_in_estimate"] == 0
+    assert frames[2].values["decisions"] == 2
     assert first_us + 2 * PERIOD_US - capture_us > 2_000_000 >= first_us + PERIOD_US - capture_us
     assert ended_us == capture_us + 2_000_001, "then, not at the next decision"
     assert robot.state() == "DISARMED"

@@ -278,7 +278,7 @@ def test_a_record_that_hovers_is_passed_over_for_good() -> None:
 
 def test_flash_that_does_not_hold_what_is_written() -> None:
     """Wherever a word or an erase does not take: told, the old table stays, and it works again afterwards."""
-    told = []
+    reported = []
     for name in ("third update", "journal page of old records changes", "rollback with a full journal page"):
         prepare, step, slots = SCENES[name]
         flash = Flash(slots=slots)
@@ -296,16 +296,16 @@ def test_flash_that_does_not_hold_what_is_written() -> None:
             flash.memory[:] = before
             assert flash.boot() == 0
             flash.fail(at)
-            told.append(step(flash))
+            reported.append(step(flash))
             # Words of the image that are all ones are there without being written.
             for _ in range(2):
-                assert flash.image == (NEW if told[-1] == "OK" else OLD), (name, at)
+                assert flash.image == (NEW if reported[-1] == "OK" else OLD), (name, at)
                 assert flash.store.open == 0
                 assert flash.boot() == 0
             assert step(flash) == "OK"
             assert flash.upload(NEXT) == "OK"
             assert flash.boot() == 0 and flash.image == NEXT
-    assert set(told) <= {"FLASH", "OK"} and told.count("FLASH") > 10 * told.count("OK")
+    assert set(reported) <= {"FLASH", "OK"} and reported.count("FLASH") > 10 * reported.count("OK")
 
 
 def test_a_journal_page_that_cannot_be_erased_is_tried_again() -> None:

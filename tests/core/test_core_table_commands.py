@@ -18,12 +18,12 @@ def begin_values(image: bytes) -> dict[str, Value]:
 
 
 def send(robot: Robot, image: bytes) -> None:
-    told = robot.ask("TABLE_BEGIN", begin_values(image))
-    assert told["status"] == 0
-    while (at := int(told["next_offset"])) < len(image):
-        told = robot.ask("TABLE_CHUNK", {"offset": at}, [(byte,) for byte in image[at : at + 128]])
-        assert told["status"] == 0
-        assert int(told["next_offset"]) == min(at + 128, len(image))
+    answer = robot.ask("TABLE_BEGIN", begin_values(image))
+    assert answer["status"] == 0
+    while (at := int(answer["next_offset"])) < len(image):
+        answer = robot.ask("TABLE_CHUNK", {"offset": at}, [(byte,) for byte in image[at : at + 128]])
+        assert answer["status"] == 0
+        assert int(answer["next_offset"]) == min(at + 128, len(image))
 
 
 def test_an_update_by_frames() -> None:
@@ -32,8 +32,8 @@ def test_an_update_by_frames() -> None:
     send(robot, NEW)
     assert robot.ask("HELLO")["table_crc"] == crc_of(OLD)
     assert robot.status("ARM") == "STATE"
-    told = robot.ask("TABLE_COMMIT")
-    assert (told["status"], told["error"], told["table_crc"]) == (0, 0, crc_of(NEW))
+    answer = robot.ask("TABLE_COMMIT")
+    assert (answer["status"], answer["error"], answer["table_crc"]) == (0, 0, crc_of(NEW))
     assert robot.ask("HELLO")["table_crc"] == crc_of(NEW)
     assert robot.status("ARM") == "OK"
     status = robot.ask("TABLE_STATUS")
@@ -118,10 +118,10 @@ def test_lengths_and_refusals() -> None:
             robot.raw(encode(ids[name], 200 + length, bytes(length))[:-1])
             answer = decode(robot.take_bytes()[:-1])
             assert answer is not None
-            told = answer[2]
-            assert struct.unpack("<b", told[:1])[0] == link_layout().status["LENGTH"], name
+            reported = answer[2]
+            assert struct.unpack("<b", reported[:1])[0] == link_layout().status["LENGTH"], name
     assert flash.sim.operations == 0
-    told = robot.ask("TABLE_BEGIN", begin_values(NEW))
+    reported = robot.ask("TABLE_BEGIN", begin_values(NEW))
     assert robot.ask("TABLE_CHUNK", {"offset": 128}, [(1,)] * 128)["next_offset"] == 0
     assert robot.status("TABLE_CHUNK", {"offset": 0}, [(1,)] * 127) == "LENGTH"
     assert robot.status("TABLE_COMMIT") == "STATE"

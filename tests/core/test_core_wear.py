@@ -29,8 +29,8 @@ def set_learn(robot: Robot, learn: int) -> str:
 
 
 def lost_of(robot: Robot) -> list[int]:
-    told = robot.ask("STATUS")
-    return [int(told[f"lost_{limb}"]) for limb in range(4)]
+    status = robot.ask("STATUS")
+    return [int(status[f"lost_{limb}"]) for limb in range(4)]
 
 
 def test_the_twin_counts_as_the_link_does() -> None:
@@ -69,9 +69,9 @@ def worn(seed: int, periods: int, learned: Any = None) -> Robot:
 def test_what_limbs_have_lost_is_learned_again(seed: int) -> None:
     """From the first snapshot on, and from later ones, which hold what was learned before."""
     log = fetched(worn(seed, 60))
-    told = replayed(log)
-    assert told.mismatches == []
-    assert max(told.decisions[-1].lost) > 10_000 and log.lost > 100
+    reported = replayed(log)
+    assert reported.mismatches == []
+    assert max(reported.decisions[-1].lost) > 10_000 and log.lost > 100
 
 
 def test_what_was_learned_is_held_and_forgotten() -> None:
@@ -89,13 +89,13 @@ def test_a_robot_that_lacks_a_limb_gives_up_after_half_as_many_decisions() -> No
     assert robot.status("STOP") == set_learn(robot, HELD) == "OK"
     assert max(lost_of(robot)) >= LIMB_GONE
     assert robot.status("ARM") == robot.fix() == robot.start() == "OK"
-    told: list[Frame] = []
-    while not any(frame.name == "ENDED" for frame in told):
+    reported: list[Frame] = []
+    while not any(frame.name == "ENDED" for frame in reported):
         robot.run_until(robot.now_us + 200_000)
-        told += robot.take_all()
+        reported += robot.take_all()
         robot.fix()
-    assert told[-1].values["status"] == STATUS["STALLED"]
-    assert told[-1].values["decisions"] == IDLE_LACKING_MAX + 1
+    assert reported[-1].values["status"] == STATUS["STALLED"]
+    assert reported[-1].values["decisions"] == IDLE_LACKING_MAX + 1
     assert replayed(fetched(robot)).mismatches == []
 
 

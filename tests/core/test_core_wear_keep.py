@@ -50,8 +50,8 @@ def whole(lost: Sequence[int] = LOST, table: bytes | None = None) -> bytes:
 
 def with_learn(learn: int, content: bytes) -> bytes:
     """The same of another FK_LEARN_..., and its CRC right again."""
-    told = struct.pack("<I", learn) + content[4:-4]
-    return told + struct.pack("<I", zlib.crc32(told))
+    reported = struct.pack("<I", learn) + content[4:-4]
+    return reported + struct.pack("<I", zlib.crc32(reported))
 
 
 def reset(kept: Any, table: bytes | None = None, made: Any = None) -> Robot:
@@ -86,8 +86,8 @@ def test_after_a_reset_it_goes_on_from_what_it_knew(seed: int) -> None:
     for name in ("_information", "_vector", "current"):
         assert getattr(wear, name).tobytes() == getattr(twin, name).tobytes()
     second = worn(seed + 1000, 30, kept)
-    told = replayed(fetched(second))
-    assert told.mismatches == [] and told.decisions
+    reported = replayed(fetched(second))
+    assert reported.mismatches == [] and reported.decisions
     assert known(reset(kept)) == known(second)
 
 

@@ -53,8 +53,8 @@ def test_no_step_is_too_long_and_no_stroke_is_lost() -> None:
             if len(times):
                 assert times[-1] == until_s[lane]
                 assert np.diff(times, prepend=before[lane]).max() <= LONGEST_S + 1e-12
-        told = theirs.advance(np.array(until_s), trace=True)
-        longest = max([longest, *(np.diff(times).max() for times, _ in told if len(times) > 1)])
+        reported = theirs.advance(np.array(until_s), trace=True)
+        longest = max([longest, *(np.diff(times).max() for times, _ in reported if len(times) > 1)])
     assert longest > LONGEST_S, "a batch would take longer ones here"
     assert mine.pose_world()[0] == pytest.approx(theirs.pose_world()[0], abs=5e-3)
     assert np.abs(mine.pose_world()[0] - POSES[0]).max() > 0.01

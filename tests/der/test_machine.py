@@ -72,10 +72,10 @@ def said(script: str, changed: dict[str, str]) -> str:
 
 def said_here(script: str) -> str:
     """In this process, which has loaded what the script needs."""
-    told = io.StringIO()
-    with contextlib.redirect_stdout(told):
+    reported = io.StringIO()
+    with contextlib.redirect_stdout(reported):
         exec(script, {})
-    return told.getvalue()
+    return reported.getvalue()
 
 
 def simulated(script: str, processor: str, cache: Path) -> str:

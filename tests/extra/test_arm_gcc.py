@@ -96,15 +96,15 @@ def test_the_analysis_of_the_stack_agrees_with_the_compiler_s_own(tmp_path: Path
     """gcc writes down what each function puts on the stack; the machine code says the same."""
     elf = build_bench(tmp_path, "-fstack-usage")
     analysis = StackAnalysis(elf)
-    told: dict[str, int] = {}
+    reported: dict[str, int] = {}
     for file in tmp_path.glob("*.su"):
         for line in file.read_text().splitlines():
             place, size, kind = line.split("\t")
             assert kind == "static", line  # no alloca, no array of variable length
-            told[place.rsplit(":", 1)[1]] = int(size)
-    common = sorted(set(told) & set(analysis.functions))
+            reported[place.rsplit(":", 1)[1]] = int(size)
+    common = sorted(set(reported) & set(analysis.functions))
     assert len(common) > 60
-    assert {name: analysis.own_bytes(name) for name in common} == {name: told[name] for name in common}
+    assert {name: analysis.own_bytes(name) for name in common} == {name: reported[name] for name in common}
 
 
 def test_the_image_of_arm_gcc_passes_the_trial_on_the_virtual_chip(tmp_path: Path) -> None:

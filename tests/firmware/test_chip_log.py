@@ -61,13 +61,13 @@ def test_sizes_with_the_log() -> None:
 
 def test_a_closed_loop_run_is_decided_again_from_the_chip_s_log() -> None:
     _, _, recording = swum()
-    told = replayed(log_of_run())
-    assert told.mismatches == []
-    assert told.segments >= 1 and told.replayed > 0.5 * told.records
+    reported = replayed(log_of_run())
+    assert reported.mismatches == []
+    assert reported.segments >= 1 and reported.replayed > 0.5 * reported.records
     # The same decisions as the events told while it swam, to the bit.
     made = {decision.scheduled_us: decision for decision in recording.decisions}
-    assert len(told.decisions) >= min(len(made), 10)
-    for decision in told.decisions:
+    assert len(reported.decisions) >= min(len(made), 10)
+    for decision in reported.decisions:
         assert decision.differences(made[decision.scheduled_us]) == []
 
 
@@ -76,17 +76,17 @@ def test_the_log_tells_the_pins() -> None:
     _, _, recording = swum()
     highs = sorted((edge.time_s * 1e6, edge.limb) for edge in recording.edges if edge.level)
     records = flat(log_of_run())
-    told = [
+    answer = [
         (record.time_us, limb)
         for record in records
         if record.name == "PULSE" and record.values["allowed"]
         for limb in range(8)
         if int(record.values["limb_mask"]) >> limb & 1
     ]
-    assert len(told) >= 10
-    assert [limb for _, limb in told] == [limb for _, limb in highs[-len(told) :]]
+    assert len(answer) >= 10
+    assert [limb for _, limb in answer] == [limb for _, limb in highs[-len(answer) :]]
     late_us = [
-        seen_us - told_us for (told_us, _), (seen_us, _) in zip(told, highs[-len(told) :], strict=True)
+        seen_us - told_us for (told_us, _), (seen_us, _) in zip(answer, highs[-len(answer) :], strict=True)
     ]
     # The robot's clock begins at the end of its start-up, which all of them have in common.
     assert 0.0 < min(late_us) < 2000.0
@@ -106,12 +106,12 @@ def test_a_wrong_bit_is_a_mismatch(name: str) -> None:
         # Of a fix: its place; else anything.
         place = dice.randrange(8, 16) if name == "FIX" else dice.randrange(len(record.content))
         raw[at + HEAD_BYTES + place] ^= 1 << dice.randrange(8)
-        told = replayed(ChipLog((Stretch(stretch.offset, bytes(raw)),), log.lost))
-        assert ("log", record.offset) in [(m.place, m.offset) for m in told.mismatches]
+        reported = replayed(ChipLog((Stretch(stretch.offset, bytes(raw)),), log.lost))
+        assert ("log", record.offset) in [(m.place, m.offset) for m in reported.mismatches]
         whole = bytes(raw[at : at + HEAD_BYTES + len(record.content)])
         raw[at + 2 : at + 4] = check_of(whole).to_bytes(2, "little")
-        told = replayed(ChipLog((Stretch(stretch.offset, bytes(raw)),), log.lost))
-        assert told.mismatches != [], f"place {place}"
+        reported = replayed(ChipLog((Stretch(stretch.offset, bytes(raw)),), log.lost))
+        assert reported.mismatches != [], f"place {place}"
 
 
 @from_ci
@@ -144,9 +144,9 @@ def test_fetching_in_a_run_changes_nothing_and_goes_on_where_it_ended() -> None:
     assert len(log.stretches) == 1 and log.lost == 0
     at_once = fetch_log(session).stretches[0].content  # and what happened since
     assert at_once.startswith(log.stretches[0].content)
-    told = replayed(log)
-    assert told.mismatches == []
-    assert len(told.decisions) >= 4
+    reported = replayed(log)
+    assert reported.mismatches == []
+    assert len(reported.decisions) >= 4
 
 
 def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
@@ -172,5 +172,5 @@ def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
         (0, RESET["POWER"]), (1, RESET["WATCHDOG"])
     ]  # fmt: skip
     assert names[names.index("STROKE") :][:4] == ["STROKE", "STROKE", "BEGUN", "PULSE"]
-    told = replayed(log)
-    assert (told.mismatches, told.segments) == ([], 1)
+    reported = replayed(log)
+    assert (reported.mismatches, reported.segments) == ([], 1)

@@ -65,11 +65,11 @@ def test_a_hang_in_the_middle_of_a_pulse(into_pulse_s: float) -> None:
     # Disarmed, and it says why it began anew.
     session.conversation = 2
     session.handshake(rig.tables())
-    told = session.request("STATUS")
-    assert (told["state"], told["reset"], told["fault"]) == (
+    status = session.request("STATUS")
+    assert (status["state"], status["reset"], status["fault"]) == (
         STATE["DISARMED"], RESET["WATCHDOG"], FAULT["NONE"]
     )  # fmt: skip
-    assert told["now_us"] < 1e6, "its clock began anew"
+    assert status["now_us"] < 1e6, "its clock began anew"
     assert session.ask("STROKE", {"action": firing()})["status"] == link_layout().status["STATE"]
     session.step(session.time_s + 1.0)
     assert len(session.edges) == 2 * len(pulses), "no pulse since"
@@ -94,8 +94,8 @@ def test_a_robot_that_was_held_up_refuses_the_stroke_and_goes_on() -> None:
         assert all(p.end_s - p.start_s == pytest.approx(wanted_s, abs=CYCLE_S) for p in pulses)
         outcomes.append(len(pulses))
         assert len(session.take("REFUSED")) == (0 if pulses else 1), number
-        told = session.request("STATUS")
-        assert (told["state"], told["fault"]) == (STATE["ARMED"], FAULT["NONE"]), number
+        status = session.request("STATUS")
+        assert (status["state"], status["fault"]) == (STATE["ARMED"], FAULT["NONE"]), number
     assert set(outcomes) == {0, limbs}, outcomes
 
 
@@ -186,8 +186,8 @@ def test_a_crystal_that_stops_disarms() -> None:
     begun = len(session.edges)
     clock_of(port.chip).break_down()
     session.step(session.time_s + 0.5)  # it looks at each turn of its loop
-    told = session.request("STATUS")
-    assert (told["state"], told["fault"]) == (STATE["FAULT"], FAULT["CLOCK"])
+    status = session.request("STATUS")
+    assert (status["state"], status["fault"]) == (STATE["FAULT"], FAULT["CLOCK"])
     assert sum(edge.level for edge in session.edges) == begun, "no other limb"
     assert not any(edge.level for edge in session.edges[-begun:])
 

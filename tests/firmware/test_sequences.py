@@ -114,10 +114,10 @@ class Stranger:
         self.clock_s = timer.zero_cycle / CYCLES * 1e-6
         before_s = self.time_s
         self.port.send(pack_frame("STATUS", "command", 200, {}), before_s)
-        told = None
-        while told is None:
-            told = next((f for f in self.live(0.0005) if f.name == "STATUS" and f.kind == "answer"), None)
-        assert before_s < self.clock_s + int(told.values["now_us"]) * 1e-6 < self.time_s
+        status = None
+        while status is None:
+            status = next((f for f in self.live(0.0005) if f.name == "STATUS" and f.kind == "answer"), None)
+        assert before_s < self.clock_s + int(status.values["now_us"]) * 1e-6 < self.time_s
 
     def sequence_of_commands(self) -> None:
         rng = self.rng

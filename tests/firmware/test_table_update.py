@@ -46,8 +46,8 @@ def power_on(bench: Firmware, flash: bytes | None = None) -> Session:
 
 def test_one_update(bench: Firmware) -> None:
     session = power_on(bench)
-    told = session.handshake(open_image(OLD))
-    assert told["table_crc"] == open_image(OLD).crc32
+    reported = session.handshake(open_image(OLD))
+    assert reported["table_crc"] == open_image(OLD).crc32
     done = upload(session, NEW)
     assert (done.bytes_sent, done.resumed_at, done.table_crc) == (len(NEW), 0, open_image(NEW).crc32)
     session.handshake(open_image(NEW))
@@ -81,11 +81,11 @@ def test_plans_by_the_new_table_as_the_twin_does(bench: Firmware) -> None:
             names = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
             values: dict[str, Value] = dict(zip(names, (float(value) for value in state), strict=True))
             values |= {"depth": 2, "along_points": 0.0, **dict.fromkeys(LIMB_USE_FIELDS, 0)}
-            told = session.request("PLAN", values)
+            answer = session.request("PLAN", values)
             twin = plan(tables, path, replace(config_of(robot.planner), depth=2), state)
-            predicted = np.array([told[name] for name in names], dtype=np.float32)
-            assert (told["action"], told["nearest_state"]) == (twin.action, twin.nearest_state)
-            assert np.float32(told["cost"]) == twin.cost
+            predicted = np.array([answer[name] for name in names], dtype=np.float32)
+            assert (answer["action"], answer["nearest_state"]) == (twin.action, twin.nearest_state)
+            assert np.float32(answer["cost"]) == twin.cost
             assert (predicted == twin.predicted).all()
             decided.append((twin.action, float(twin.cost)))
     assert decided[:6] != decided[6:]
@@ -123,10 +123,10 @@ def test_only_at_rest(bench: Firmware) -> None:
         upload(session, NEW)
     assert chip_of(session).flash.words_written == 0
     session.step(session.time_s + 0.6)
-    told = session.request("TABLE_BEGIN", {"length": len(NEW)} | {f"hash_{i}": i for i in range(8)})
-    assert told["next_offset"] == 0
+    answer = session.request("TABLE_BEGIN", {"length": len(NEW)} | {f"hash_{i}": i for i in range(8)})
+    assert answer["next_offset"] == 0
     assert link_layout().status_name(int(session.ask("ARM")["status"])) == "STATE"
-    session.request("TABLE_ROLLBACK", {"table_crc": told["table_crc"]})
+    session.request("TABLE_ROLLBACK", {"table_crc": answer["table_crc"]})
     session.request("ARM")
 
 

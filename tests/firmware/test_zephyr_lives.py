@@ -56,10 +56,10 @@ def test_a_fading_link_does_not_hang_the_loop(life: Life) -> None:
     assert life.robot.watchdog_s < 0.5
     life.robot.stage.play_fade(0)
     life.live(1.0)
-    told = session.take("STATUS")
-    assert told and life.robot.bad_frames == 0, "what was kept comes whole"
+    status = session.take("STATUS")
+    assert status and life.robot.bad_frames == 0, "what was kept comes whole"
     assert life.state() == STATE["DISARMED"]
-    assert session.request("STATUS")["answers_dropped"] == 40 - len(told), "what found no room is counted"
+    assert session.request("STATUS")["answers_dropped"] == 40 - len(status), "what found no room is counted"
     assert len(session.edges) == fired
 
 
@@ -77,9 +77,9 @@ def test_a_fading_link_that_ends(life: Life) -> None:
     life.robot.connect()
     life.live(0.1)
     session.take("STATUS")
-    told = session.request("STATUS")
-    assert told["state"] == STATE["DISARMED"]
-    assert told["answers_dropped"] > 0
+    status = session.request("STATUS")
+    assert status["state"] == STATE["DISARMED"]
+    assert status["answers_dropped"] > 0
     assert life.robot.bad_frames == 0
 
 
@@ -97,12 +97,12 @@ def test_frames_are_whole_or_dropped_whole(played: Path, error: int, after: int)
     life.robot.stage.play_refuse(0, 0)
     life.live(0.3)
     arrived = [arrival.frame.sequence for arrival in session.take("STATUS")]
-    told = session.request("STATUS")
+    status = session.request("STATUS")
     if error == 12:  # no buffer for a while: repeated
-        assert arrived == [first] and told["answers_dropped"] == 0 and life.robot.bad_frames == 0
+        assert arrived == [first] and status["answers_dropped"] == 0 and life.robot.bad_frames == 0
     else:
         lost = 0 if first in arrived else 1
-        assert told["answers_dropped"] == lost
+        assert status["answers_dropped"] == lost
         assert life.robot.bad_frames <= lost
         assert lost == (after < 4), "an answer of 62 bytes"
 
@@ -184,8 +184,8 @@ def test_a_crystal_that_stops(life: Life) -> None:
     life.robot.stage.play_break_crystal()
     session.post("STROKE", {"action": life.firing})
     life.live(0.5)
-    told = session.request("STATUS")
-    assert (told["state"], told["fault"]) == (STATE["FAULT"], link_layout().fault["CLOCK"])
+    status = session.request("STATUS")
+    assert (status["state"], status["fault"]) == (STATE["FAULT"], link_layout().fault["CLOCK"])
     assert session.edges == []
 
 
@@ -198,8 +198,8 @@ def test_a_supply_that_falls_disarms(life: Life) -> None:
     robot.stage.play_supply(1)
     life.live(0.005)
     assert not session.edges[-1].level and not robot.crystal_held
-    told = session.request("STATUS")
-    assert (told["state"], told["supply"]) == (STATE["DISARMED"], link_layout().supply["LOW"])
+    status = session.request("STATUS")
+    assert (status["state"], status["supply"]) == (STATE["DISARMED"], link_layout().supply["LOW"])
     with pytest.raises(LinkError, match="refuses ARM: SUPPLY"):
         session.request("ARM")
     robot.stage.play_supply(0)
@@ -237,8 +237,8 @@ def test_a_battery_that_is_low_at_rest_disarms(
     assert life.state() == STATE["ARMED"]
     stage.play_battery(1, 1830)
     life.live(3.0)
-    told = session.request("STATUS")
-    assert (told["state"], told["supply"]) == (STATE["DISARMED"], link_layout().supply["LOW"])
+    status = session.request("STATUS")
+    assert (status["state"], status["supply"]) == (STATE["DISARMED"], link_layout().supply["LOW"])
     assert stage.play_asserts() == 0
 
 

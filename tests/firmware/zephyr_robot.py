@@ -147,13 +147,13 @@ def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path) -> Kconfig:
 
 
 def defines(found: Kconfig) -> list[str]:
-    told = []
+    reported = []
     for symbol in found.unique_defined_syms:
         if symbol.str_value not in ("n", ""):
             quoted = symbol.name == "BT_DEVICE_NAME"
             value = f'"{symbol.str_value}"' if quoted else symbol.str_value.replace("y", "1")
-            told.append(f"-DCONFIG_{symbol.name}={value}")
-    return told
+            reported.append(f"-DCONFIG_{symbol.name}={value}")
+    return reported
 
 
 RESTED_S = 5.1

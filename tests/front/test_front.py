@@ -100,8 +100,8 @@ def test_a_function_takes_its_name_whatever_was_loaded_before() -> None:
 
 def test_importing_loads_nothing_that_takes_time() -> None:
     code = "import sys, frogkick as fk; dir(fk); print({'numpy', 'numba', 'typer'} & set(sys.modules))"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "set()"
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert output.stdout.strip() == "set()"
 
 
 def test_a_robot_is_one_line_and_a_picture(robot: fk.Robot, tmp_path: Path) -> None:
@@ -338,8 +338,8 @@ def test_a_real_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None
     old, table = rig.tables(), fk.load_table(rig.small_table())
     kit = LiveRobot()
     with PtyLine(tmp_path / "robot", kit) as line, fk.connect(f"serial:{line.path}:115200") as bot:
-        told = bot.status()
-        assert told["robot_id"] == "frog2022" and told["table_crc"] == old.crc32
+        reported = bot.status()
+        assert reported["robot_id"] == "frog2022" and reported["table_crc"] == old.crc32
         pushed = bot.push(table)
         assert pushed.table_crc == table.crc32
         log = bot.follow("line", fixes="pool", table=table, time_limit_s=3.5)
@@ -354,9 +354,9 @@ def test_the_command_and_the_call_give_the_same(
     table.save(tmp_path / "a.fkt")
     robot.save(tmp_path / "robot.toml")
     words = ["run", "--robot", "pool", "--tables", tmp_path / "a.fkt", "--model", tmp_path / "robot.toml"]
-    told = frogkick(capsys, *words, "--path", "line", "--seed", 2, "--json")
-    assert told.code == 0, told.stderr
-    assert told.json == fk.run(table, "line", seed=2).as_json()
+    output = frogkick(capsys, *words, "--path", "line", "--seed", 2, "--json")
+    assert output.code == 0, output.stderr
+    assert output.json == fk.run(table, "line", seed=2).as_json()
 
 
 def test_a_log_of_a_robot_that_never_swam_is_read_and_given_on(runs: list[fk.Run], tmp_path: Path) -> None:
@@ -366,9 +366,9 @@ def test_a_log_of_a_robot_that_never_swam_is_read_and_given_on(runs: list[fk.Run
     read = fk.load_run(tmp_path / "a.h5")
     assert "0 decisions, not seen swimming" in repr(read) and "<img" not in read._repr_html_()
     assert tmp_path / "csv" / "fixes.csv" in read.export_csv(tmp_path / "csv")
-    for told in (lambda: read.tracking, read.summary, lambda: read.compare(runs[0])):
+    for reported in (lambda: read.tracking, read.summary, lambda: read.compare(runs[0])):
         with pytest.raises(fk.InputError, match="has no decisions"):
-            told()
+            reported()
 
 
 def test_a_run_is_decided_again_in_memory(runs: list[fk.Run], table: fk.Table) -> None:
@@ -380,16 +380,16 @@ def test_a_run_is_decided_again_in_memory(runs: list[fk.Run], table: fk.Table) -
 
 
 def test_gaits_are_ranked_in_memory() -> None:
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     swept = fk.sweep(
         made_robot(),
         egain_percent=[10.0],
         frequencies_hz=[0.4, 0.5],
         phases=1,
         workers=1,
-        progress=lambda done, whole: told.append((done, whole)),
+        progress=lambda done, whole: reported.append((done, whole)),
     )
-    assert told[-1] == (2, 2) and len(swept.points) == 2
+    assert reported[-1] == (2, 2) and len(swept.points) == 2
     first, second = swept.fastest
     assert first.speed_mps > second.speed_mps > 0.0
     assert swept.as_json()["gaits"] == 2 and repr(swept).startswith("Swept('frog2022': 2 designs, 2 gaits; ")

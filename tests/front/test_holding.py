@@ -97,9 +97,9 @@ def test_laps_are_moved_against_what_carries_the_robot_away() -> None:
     assert sent is not None
     off_m = []
     for _ in range(6):
-        told = holding.followed(sent)
-        assert told is not None
-        end_m, begin = np.array(told[:2]), told[2]
+        reported = holding.followed(sent)
+        assert reported is not None
+        end_m, begin = np.array(reported[:2]), reported[2]
         assert np.allclose(end_m, path.points_m[-1])
         places = sent.points_m[begin : begin + LAP_POINTS] + drift_m
         off_m.append(float(np.hypot(*(places.mean(axis=0) - end_m))))

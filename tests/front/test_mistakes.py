@@ -106,10 +106,10 @@ def robot() -> fk.Robot:
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_told_in_one_line(mistake: str, robot: fk.Robot) -> None:
-    do, told = MISTAKES[mistake]
+    do, reported = MISTAKES[mistake]
     with pytest.raises(fk.InputError) as refused:
         do(robot)
-    assert told in str(refused.value)
+    assert reported in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
@@ -125,10 +125,10 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> fk.Table:
 
 @pytest.mark.parametrize("mistake", OF_A_TABLE)
 def test_a_mistake_with_a_table_is_told_in_one_line(mistake: str, table: fk.Table) -> None:
-    do, told = OF_A_TABLE[mistake]
+    do, reported = OF_A_TABLE[mistake]
     with pytest.raises(fk.InputError) as refused:
         do(table)
-    assert told in str(refused.value)
+    assert reported in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
@@ -204,7 +204,7 @@ def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
 
 
 @pytest.mark.parametrize(
-    ("call", "told"),
+    ("call", "message"),
     [
         (lambda _: fk.sweep(egain_percent=10), "sweep: egain_percent is 10, give Sequence[float] | None"),
         (lambda _: fk.scan("x"), "scan: seconds is 'x', give float"),
@@ -222,11 +222,11 @@ def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
     ],
 )
 def test_an_argument_of_another_type_is_named(
-    call: Callable[[Any], object], told: str, given: dict[str, Any]
+    call: Callable[[Any], object], message: str, given: dict[str, Any]
 ) -> None:
     with pytest.raises(fk.InputError) as refused:
         call(given["Library"])
-    assert told in str(refused.value)
+    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize(

@@ -68,9 +68,9 @@ def test_a_ring_that_tells_too_little_says_so(
     close(ring, tmp_path, 3, progress_bar, held_out="bends")  # far too few periods to learn from
     closing = ring.closing
     assert closing is not None and closing.outcome.verdict == "not enough data" and not closing.new
-    told = closing.as_json()
-    assert told["horizons"] == [] and told["before"] == told["after"]
-    assert np.isnan(told["changed_robot"]["mean_distance_after_m"]) and not (tmp_path / "new").exists()
+    reported = closing.as_json()
+    assert reported["horizons"] == [] and reported["before"] == reported["after"]
+    assert np.isnan(reported["changed_robot"]["mean_distance_after_m"]) and not (tmp_path / "new").exists()
     write_ring_report(tmp_path / "report.html", ring)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "not enough data (no effect)" in page and "stayed as they were" in page
@@ -104,18 +104,20 @@ def test_the_ring_closes(
     assert [swim.name for swim in given[0]] == ["worn-line.h5", "worn-sine.h5"]
     assert [swim.name for swim in given[1]] == ["worn-bends.h5"]
     assert read_run(tmp_path / "worn-line.h5").truth is None
-    told = closing.as_json()
-    assert told["verdict"] == "found" and [each["limb"] for each in told["found"]] == [planted["limb"]]
-    gain = told["found"][0]["parameters"]["gain"]
+    reported = closing.as_json()
+    assert reported["verdict"] == "found" and [each["limb"] for each in reported["found"]] == [
+        planted["limb"]
+    ]
+    gain = reported["found"][0]["parameters"]["gain"]
     assert abs(gain["value"] - planted["gain"]) < 0.05
-    before, after, floor = (told[key]["position_rmse_m"] for key in ("before", "after", "noise_floor"))
+    before, after, floor = (reported[key]["position_rmse_m"] for key in ("before", "after", "noise_floor"))
     assert after < 0.5 * before and 0.3 * after < floor < before
-    assert [row["periods"] for row in told["horizons"]] == [1, 2, 3, 5]
-    assert told["before"]["periods"] == told["horizons"][0]["count"]
+    assert [row["periods"] for row in reported["horizons"]] == [1, 2, 3, 5]
+    assert reported["before"]["periods"] == reported["horizons"][0]["count"]
     every = closing.old, closing.learned, closing.new
     assert [len(runs) for runs in every] == [2, 2, 2]
     old, learned, new = (closing.distance_m(runs) for runs in every)
-    assert told["changed_robot"] == {
+    assert reported["changed_robot"] == {
         "mean_distance_before_m": old,
         "mean_distance_learning_m": learned,
         "mean_distance_after_m": new,
@@ -138,7 +140,7 @@ def test_the_ring_closes(
     capsys.readouterr()
     assert run_command(["demo", "--out", str(tmp_path), "--json"]) == 0
     values = json.loads(capsys.readouterr().out)
-    assert values["before"] == told["before"] and values["after"] == told["after"]
+    assert values["before"] == reported["before"] and values["after"] == reported["after"]
     assert values["table_missed"] == {**ring.missed.as_json(), "periods": ring.missed.count}
     assert values["mean_distance_m"] == ring.mean_distance_m
     page = Path(values["report"]).read_text(encoding="utf-8")

@@ -77,12 +77,12 @@ def test_before_a_wall_the_robot_turns(table: fk.Table) -> None:
         fk.run(table, path, robot="pool", plan="both", time_limit_s=40.0, inside=inside)
         for inside in (None, walls)
     )
-    told = kept.as_json()
+    reported = kept.as_json()
     assert free.as_json()["wall_clearance_m"] is None
     assert free.log.truth is not None
     assert free.log.truth.pose_world[:, 1].min() < -0.04  # without walls it goes where the path leads
-    assert told["wall_clearance_m"] > 0.0 and told["mismatches"] == 0
-    assert told["progress_mps"] > 0.5 * free.as_json()["progress_mps"]
+    assert reported["wall_clearance_m"] > 0.0 and reported["mismatches"] == 0
+    assert reported["progress_mps"] > 0.5 * free.as_json()["progress_mps"]
 
 
 def test_a_log_keeps_the_walls(table: fk.Table, tmp_path: Path) -> None:

@@ -101,5 +101,5 @@ def test_one_wild_period_counts_only_so_much() -> None:
 def test_strokes_count_where_they_fire() -> None:
     swim, _, _ = made_run(1, 0.0, 10)
     firing = np.isfinite(swim.fired_s(len(robot().limbs)))
-    told = {(round((time_s - 0.2 * limb) / PERIOD_S), int(limb)) for time_s, limb in swim.strokes}
-    assert told == {(int(k), int(limb)) for k, limb in zip(*np.nonzero(firing), strict=True)}
+    reported = {(round((time_s - 0.2 * limb) / PERIOD_S), int(limb)) for time_s, limb in swim.strokes}
+    assert reported == {(int(k), int(limb)) for k, limb in zip(*np.nonzero(firing), strict=True)}

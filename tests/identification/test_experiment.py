@@ -82,7 +82,7 @@ def test_a_planned_row_tells_a_planted_pair_apart_and_a_bad_one_does_not() -> No
     )
     bad = "A" * 5  # fires front limbs only
     assert separation_of(asked, bad) < 1.0
-    for row, told in ((planned.sequence, True), (bad, False)):
+    for row, reported in ((planned.sequence, True), (bad, False)):
         for seed, (planted, which) in enumerate(((ONE_LIMB, 0), (BOTH, 1))):
             swims = [make_swim([planted], 20 + seed, 0, row)]
             squares = [
@@ -90,7 +90,7 @@ def test_a_planned_row_tells_a_planted_pair_apart_and_a_bad_one_does_not() -> No
                 for rollouts in rollouts_of(asked.models, swims)
             ]
             gain = squares[1 - which] - squares[which]
-            assert gain > 0.3 * planned.separation_sigma**2 if told else abs(gain) < 8.0
+            assert gain > 0.3 * planned.separation_sigma**2 if reported else abs(gain) < 8.0
 
 
 @pytest.mark.parametrize(
@@ -131,14 +131,18 @@ def test_a_row_stays_in_its_pool_and_beats_one_action_all_the_time() -> None:
 
 def test_a_robot_s_way_is_the_one_of_the_pool() -> None:
     """Side by side for planning, and in the simulated pool as its noisy fixes show it."""
-    told = [term("limb_wear rear_left", 0.75), term("fix_latency", 0.1), term("steady_current", 0.004, 0.0)]
+    reported = [
+        term("limb_wear rear_left", 0.75),
+        term("fix_latency", 0.1),
+        term("steady_current", 0.004, 0.0),
+    ]
     tables = [
         ONE_LIMB,
         {"name": "fix_latency", "delay_s": 0.1},
         {"name": "steady_current", "x_mps": 0.004},
     ]
     pooled = make_swim(tables, 5, 0, "BEG")
-    side = Side(model(*told))
+    side = Side(model(*reported))
     at = pooled.pose_at(float(pooled.start_s[0]) - 0.05)
     robots = [side.at_rest(at)]
     for action in indices("BEG"):

@@ -191,9 +191,9 @@ def test_laws_are_moved_beside_each_other(
     pulls, breaks = kinds["spring"].term(cable), kinds["stroke from a moment on rear_left"].term(moment)
     placed = refined(fit(replace(nominal.model, terms=(pulls, breaks)), data), data)
     selection = _ForwardSelection(data, [], laws)
-    told: list[str] = []
-    moved = selection.relocated(placed, told.append)
-    assert moved.deviance < placed.deviance - 100.0 and told[0].startswith("moving spring")
+    reported: list[str] = []
+    moved = selection.relocated(placed, reported.append)
+    assert moved.deviance < placed.deviance - 100.0 and reported[0].startswith("moving spring")
     assert [each.title for each in moved.model.terms] == [pulls.title, breaks.title]
     values = {
         name: value
@@ -290,7 +290,7 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
         assert isinstance(law, Law)
         return responses.to(law, {}, names)
 
-    for term, told in (
+    for term, reported in (
         (push, told_by({"on": "wrench", "forward_n": "size"}, "N", 1e-3)),
         (weak, told_by({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.9)),
         (broken, told_by({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.35)),
@@ -298,7 +298,7 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
     ):
         moved = Model(robot(), (term,), nominal.model.noise)
         true = residuals_of(rollouts_of([moved], swims)[0], data.rows) - nominal.residuals
-        assert np.linalg.norm(told - true) < 0.25 * np.linalg.norm(true), term.title
+        assert np.linalg.norm(reported - true) < 0.25 * np.linalg.norm(true), term.title
 
 
 def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
@@ -350,11 +350,11 @@ def test_the_missing_wrench_is_read_from_residuals() -> None:
     data, nominal = nominal_fit(swims, robot())
     responses = responses_of(nominal, data)
     found = missing_wrench(nominal, responses, data)
-    told = found.as_json([swim.name for swim in swims])
+    reported = found.as_json([swim.name for swim in swims])
     true = 1.5e-3 * np.sin(0.7 * found.time_s)
-    assert np.corrcoef(told["x_n"], true)[0, 1] > 0.9
-    assert np.sqrt(np.mean(np.square(np.array(told["x_n"]) - true))) < 6e-4
-    assert np.abs(told["y_n"]).mean() < 4e-4 and len(told["covariance"][0]) == 9
+    assert np.corrcoef(reported["x_n"], true)[0, 1] > 0.9
+    assert np.sqrt(np.mean(np.square(np.array(reported["x_n"]) - true))) < 6e-4
+    assert np.abs(reported["y_n"]).mean() < 4e-4 and len(reported["covariance"][0]) == 9
     assert (np.linalg.eigvalsh(found.covariance) > -1e-12).all()
     strokes = stroke_ratios(nominal, responses, data, [limb.name for limb in robot().limbs])
     ratios = np.array([each["log_ratio"] for each in strokes])

@@ -130,11 +130,11 @@ def test_fixes_that_jump_are_told_by_their_neighbours() -> None:
     assert found is not None
     planted = sum(int(run.off.sum()) for run in runs)
     right = sum(int(run.off[jumped(run.swim)[0]].sum()) for run in runs)
-    told = sum(len(jumped(run.swim)[0]) for run in runs)
-    assert right >= 0.9 * planted and told - right <= 0.1 * planted
+    reported = sum(len(jumped(run.swim)[0]) for run in runs)
+    assert right >= 0.9 * planted and reported - right <= 0.1 * planted
     assert found.size.value == pytest.approx(6e-3, rel=0.1)
     kept = without_jumps([run.swim for run in runs])
-    assert sum(len(swim.time_s) for swim in kept) == sum(len(run.swim.time_s) for run in runs) - told
+    assert sum(len(swim.time_s) for swim in kept) == sum(len(run.swim.time_s) for run in runs) - reported
     effect = found.term.effect()
     rng = np.random.default_rng(0)
     moved = [effect.fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0), rng) for _ in range(2000)]

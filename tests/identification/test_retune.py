@@ -226,11 +226,11 @@ def test_better_tables_are_kept_with_the_old_ones(
     assert result.after.position_rmse_m == pytest.approx(0.5e-3)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
     said = printed(result)
-    for told in (
+    for reported in (
         "old tables: 2.00 mm", "new tables: 0.50 mm", "10.0 mm from the path, 20.0 mm/s along it",
         "1 of 2 runs completed", "tables, 5 periods ahead: ", "effect limb_wear rear_left: gain 0.7 [",
     ):  # fmt: skip
-        assert told in said, said
+        assert reported in said, said
     assert tools.swum == [b"nominal", b"worn"]  # old tables first, both by the robot as it is now
     assert result.as_json()["closed_loop"] == {
         "before": {"mean_distance_m": 0.01, "progress_mps": 0.02, "completed": 1, "runs": 2},

@@ -209,12 +209,12 @@ def test_what_does_not_help_on_runs_kept_out_is_left_out(
     assert not outcome.terms and outcome.tested.after == outcome.tested.before
     assert outcome.as_json()["dropped"] == ["limb_wear rear_left"]
     helped = identify(worn[:1] + worn[1:], [make_swim([WORN], 9, 10)], robot())
-    told = helped.as_json()
+    reported = helped.as_json()
     assert helped.verdict == FOUND and not helped.dropped
-    assert told["test"]["log_score_gain"]["interval"][0] > 0.0
-    left = told["residuals"]
+    assert reported["test"]["log_score_gain"]["interval"][0] > 0.0
+    left = reported["residuals"]
     assert left["wrench"] is None and left["strokes"] is None and len(left["fixes"]["x"]) > 100
-    assert told["test"]["repeatability"].keys() == {"position_rmse_m", "heading_rmse_rad"}
+    assert reported["test"]["repeatability"].keys() == {"position_rmse_m", "heading_rmse_rad"}
 
 
 def rested(seed: int, frames: int) -> Segments:
@@ -223,17 +223,17 @@ def rested(seed: int, frames: int) -> Segments:
     first = int(np.searchsorted(run.fixes.capture_time_s, START_S)) - 1
     pose = run.fixes.pose_world
     still = pose[0] + rng.normal(0.0, 1.0, (frames, 3)) * (2e-4, 2e-4, 3.5e-3)
-    told = np.concatenate([still, pose[first:]])
+    reported = np.concatenate([still, pose[first:]])
     arrival_s = np.concatenate([np.linspace(0.0, 0.05, frames), run.fixes.time_s[first:]])
-    flags = np.zeros(len(told), dtype=np.uint16)
+    flags = np.zeros(len(reported), dtype=np.uint16)
     flags[:frames] = int(FixFlag.UNTRUSTED_TIME | FixFlag.AT_REST)
     fixes = Fixes(
         time_s=arrival_s,
         capture_time_s=np.concatenate([np.full(frames, np.nan), run.fixes.capture_time_s[first:]]),
-        x_m=told[:, 0],
-        y_m=told[:, 1],
-        heading_rad=told[:, 2],
-        quality=np.ones(len(told), dtype=np.uint8),
+        x_m=reported[:, 0],
+        y_m=reported[:, 1],
+        heading_rad=reported[:, 2],
+        quality=np.ones(len(reported), dtype=np.uint8),
         flags=flags,
     )
     return segments_of(replace(run, fixes=fixes), "rested", robot())

@@ -33,13 +33,13 @@ class Known:
 
     def rows(self, velocities: FloatArray, previous: NDArray[np.int64]) -> FloatArray:
         """(n, a, 6) what happens."""
-        told = self.constant + np.einsum("avx,nx->nav", self.slope, velocities)
-        told = told + np.einsum("avxy,nx,ny->nav", self.bend, velocities, velocities)
-        told = told + np.einsum("avx,nx->nav", self.wave, np.sin(3.0 * velocities / REACH))
+        reported = self.constant + np.einsum("avx,nx->nav", self.slope, velocities)
+        reported = reported + np.einsum("avxy,nx,ny->nav", self.bend, velocities, velocities)
+        reported = reported + np.einsum("avx,nx->nav", self.wave, np.sin(3.0 * velocities / REACH))
         if self.history is not None:
             use = limb_use(ROBOT, previous, self.history.decay, self.history.gain)
-            told = told + np.einsum("nl,alv->nav", use, self.history.effect)
-        return np.asarray(told)
+            reported = reported + np.einsum("nl,alv->nav", use, self.history.effect)
+        return np.asarray(reported)
 
     def library(self, states: int, seed: int) -> Library:
         """A library of it; with random earlier actions where limb use has an effect."""

@@ -38,17 +38,17 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 @from_ci
 @needs_distributed
 def test_a_killed_worker_changes_no_byte(cluster: Cluster, here: bytes, tmp_path: Path) -> None:
-    told: list[int] = []
+    reported: list[int] = []
 
     def kill_in_the_middle(done: int, _all: int) -> None:
-        told.append(done)
-        if len(told) == 2:  # the first part is done
+        reported.append(done)
+        if len(reported) == 2:  # the first part is done
             kill_one(cluster)
 
     out = tmp_path / "far.h5"
     build_library(ROBOT, STATES, SEED, 1, out, kill_in_the_middle, record_s=0.0, cluster=cluster.address)
-    assert told[0] == 0
-    assert told[-1] == STATES * 9
+    assert reported[0] == 0
+    assert reported[-1] == STATES * 9
     assert out.read_bytes() == here
     cluster.workers += [cluster.add_worker() for _ in range(count(1, 1, 0))]
 
@@ -65,7 +65,7 @@ def test_what_a_lost_cluster_had_finished_is_kept(cluster: Cluster, here: bytes,
     with pytest.raises(FrogkickError, match="failed"):
         build_library(ROBOT, STATES, SEED, 1, out, lose, record_s=0.0, cluster=cluster.address)
     assert not out.exists()
-    told: list[int] = []
-    build_library(ROBOT, STATES, SEED, 1, out, lambda done, _all: told.append(done), record_s=0.0)
-    assert told[0] > 0
+    reported: list[int] = []
+    build_library(ROBOT, STATES, SEED, 1, out, lambda done, _all: reported.append(done), record_s=0.0)
+    assert reported[0] > 0
     assert out.read_bytes() == here

@@ -57,11 +57,11 @@ def by_hand(tables: Tables, library: Library) -> np.ndarray:
     inside = np.clip(codes, states.min(axis=0) - limit, states.max(axis=0) + limit)
     apart = ((inside[:, None, :] - states) ** 2).sum(axis=2)
     rows = apart.argmin(axis=1)
-    told = tables.transitions[rows].astype(np.int64)
+    reported = tables.transitions[rows].astype(np.int64)
     if tables.kind == "affine":
         offset = np.clip(codes - states[rows], -limit, limit)
         rise = np.einsum("navx,nx->nav", tables.derivatives[rows].astype(np.int64), offset)
-        told = told + ((rise + ((1 << tables.correction_shift) >> 1)) >> tables.correction_shift)
+        reported = reported + ((rise + ((1 << tables.correction_shift) >> 1)) >> tables.correction_shift)
         masks = [row.first_mask | row.second_mask for row in tables.actions]
         fires = np.array([[mask >> limb & 1 for limb in range(LIMBS)] for mask in masks])
         use = np.zeros((len(codes), LIMBS), dtype=np.int64)
@@ -69,10 +69,10 @@ def by_hand(tables: Tables, library: Library) -> np.ndarray:
             before = library.previous_actions[:, place]
             gained = np.where((before == RESTED)[:, None], 0, fires[before] * tables.use_gain)
             use = np.minimum((use * tables.use_decay >> 15) + gained, 32767)
-        told = told + (np.einsum("alv,nl->nav", tables.history.astype(np.int64), use) >> 15)
+        reported = reported + (np.einsum("alv,nl->nav", tables.history.astype(np.int64), use) >> 15)
     most = np.concatenate([tables.motion_limit, [16383] * 3])
     scale = np.concatenate([tables.motion_scale, tables.velocity_scale]).astype(np.float64)
-    return np.asarray(np.clip(told, -most, most) * scale)
+    return np.asarray(np.clip(reported, -most, most) * scale)
 
 
 @pytest.mark.parametrize(
@@ -95,13 +95,15 @@ def test_the_error_is_that_of_looking_up_by_hand(tiring: Library, kind: str) -> 
     tables = open_image(fit_table(tiring, kind, 4000).image)
     gap = by_hand(tables, unseen) - unseen.rows()
     turn = np.arctan2(np.sin(gap[..., 2]), np.cos(gap[..., 2]))
-    told = error_on(tables, unseen)
-    assert told["position_m"] == pytest.approx(
+    reported = error_on(tables, unseen)
+    assert reported["position_m"] == pytest.approx(
         np.sqrt((gap[..., 0] ** 2 + gap[..., 1] ** 2).mean()), rel=1e-5
     )
-    assert told["heading_rad"] == pytest.approx(np.sqrt((turn**2).mean()), rel=1e-5)
-    assert told["velocity_mps"] == pytest.approx(np.sqrt((gap[..., 3:5] ** 2).sum(axis=2).mean()), rel=1e-5)
-    assert told["omega_rad_s"] == pytest.approx(np.sqrt((gap[..., 5] ** 2).mean()), rel=1e-5)
+    assert reported["heading_rad"] == pytest.approx(np.sqrt((turn**2).mean()), rel=1e-5)
+    assert reported["velocity_mps"] == pytest.approx(
+        np.sqrt((gap[..., 3:5] ** 2).sum(axis=2).mean()), rel=1e-5
+    )
+    assert reported["omega_rad_s"] == pytest.approx(np.sqrt((gap[..., 5] ** 2).mean()), rel=1e-5)
     found = looked_up(tables, unseen.initial_velocity_body, unseen.previous_actions)
     assert found == pytest.approx(by_hand(tables, unseen), abs=1e-7)
 
@@ -120,8 +122,8 @@ def test_what_is_held_out_tells_what_unseen_states_will(plain: Library) -> None:
     unseen = PLAIN.library(300, 9)
     for kind in ("nearest", "affine"):
         found = fitted(plain, kind, 4000)
-        told = error_on(open_image(found.image), unseen)
-        for name, value in told.items():
+        reported = error_on(open_image(found.image), unseen)
+        for name, value in reported.items():
             assert found.held_out[name] == pytest.approx(value, rel=0.35)
 
 

@@ -157,10 +157,10 @@ def test_this_computer_s_clock_goes_back(
 
 @pytest.mark.parametrize("onboard", [True, False], ids=["onboard", "host"])
 @pytest.mark.parametrize(
-    ("by_s", "told"), some([(0.4, r"0\.[4-9]"), (1.5, r"1\.[5-9]"), (300.0, r"300\.\d")], 1)
+    ("by_s", "message"), some([(0.4, r"0\.[4-9]"), (1.5, r"1\.[5-9]"), (300.0, r"300\.\d")], 1)
 )
 def test_this_computer_s_clock_goes_ahead(
-    by_s: float, told: str, onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    by_s: float, message: str, onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fixes look older than they are, or the time of the run over: the robot's own clock tells."""
     clock = Stepping()
@@ -171,7 +171,9 @@ def test_this_computer_s_clock_goes_ahead(
             return now.run(pool_of(now.robot), shape(PATH), options, lambda: setattr(clock, "offset_s", by_s))
 
         # A busy machine takes a while between the two clocks.
-        words = rf"clock went ahead by {told} s while the robot ran, so that the ages of .* the run was ended"
+        words = (
+            rf"clock went ahead by {message} s while the robot ran, so that the ages of .* the run was ended"
+        )
         now.fails(LinkError, words, go)
 
 

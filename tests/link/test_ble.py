@@ -248,8 +248,8 @@ def test_a_scan_tells_who_is_there(
 
     breathe(monkeypatch, robots[0])
     assert run_command(["scan", "--seconds", "0.5"]) == 0
-    told = capsys.readouterr().out
-    assert re.fullmatch(rf"ble:frog  -?\d+ dBm  frog2022, table {rig.tables().crc32:08x}, DISARMED\n", told)
+    output = capsys.readouterr().out
+    assert re.fullmatch(rf"ble:frog  -?\d+ dBm  frog2022, table {rig.tables().crc32:08x}, DISARMED\n", output)
 
     breathe(monkeypatch)
     assert run_command(["scan", "--seconds", "0.5"]) == 1

@@ -51,10 +51,10 @@ def test_lines(
     end()
     assert fixes.advance(102.0) == []
     assert fixes.next_event_s > 102.0
-    deadline_s, told = time.monotonic() + 120.0, ""
-    while not told and time.monotonic() < deadline_s:
-        told = capfd.readouterr().err
-    assert told == "the pipe has ended after 4 position fixes: no more will come from it\n"
+    deadline_s, output = time.monotonic() + 120.0, ""
+    while not output and time.monotonic() < deadline_s:
+        output = capfd.readouterr().err
+    assert output == "the pipe has ended after 4 position fixes: no more will come from it\n"
 
 
 def test_a_bad_line_is_named(pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], None]]) -> None:

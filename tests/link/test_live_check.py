@@ -54,9 +54,9 @@ def past_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     """The hash of the robot's table is not asked: a fault that lies behind it, as one in its memory would."""
 
     def handshake(self: Session, tables: Tables) -> dict[str, object]:
-        told = self.hello()
-        tables.require_robot(str(told["robot_id"]))
-        return dict(told)
+        reported = self.hello()
+        tables.require_robot(str(reported["robot_id"]))
+        return dict(reported)
 
     monkeypatch.setattr(Session, "handshake", handshake)
 
@@ -65,17 +65,17 @@ def past_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_host_and_robot_agree(transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, check = LiveRobot(clock=PatientClock(), on_for_s=100.0), LiveCheck()
     options = RunOptions(PlanConfig(depth=2), True, 2.5 * PERIOD_S, check)
-    told: list[str] = []
+    reported: list[str] = []
     with rigged(transport, robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         source = LivePool(robot.pulses, robot.clock)
         path = shape(PATH)
         recording = run_session(
-            session, source, rig.recording(path, options), lambda _t, _i: told.append(check.text)
+            session, source, rig.recording(path, options), lambda _t, _i: reported.append(check.text)
         )
     assert recording.ended == TIME and len(recording.decisions) == 3
     assert check.as_json() == {"decisions_checked": 3, "decisions_unchecked": 0, "mismatches": 0}
-    assert told == [f"host agrees with {count} decisions" for count in (1, 2, 3)]
+    assert reported == [f"host agrees with {count} decisions" for count in (1, 2, 3)]
 
 
 @from_ci
@@ -118,11 +118,11 @@ def test_after_a_drop_nothing_is_compared_and_that_is_told(
 
 def test_the_command_tells_the_agreement(capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--tables", rig.small_table(), "--robot", "pool", "--path", "sine", "--simulated-time", "6"]
-    told = frogkick(capsys, "run", *options, "--plan", "both", "--json")
-    assert told.code == 0, told.stderr
-    assert told.json["decisions_checked"] == told.json["decisions"] >= 4
-    assert (told.json["decisions_unchecked"], told.json["mismatches"]) == (0, 0)
-    assert "host agrees with" in told.stderr
+    output = frogkick(capsys, "run", *options, "--plan", "both", "--json")
+    assert output.code == 0, output.stderr
+    assert output.json["decisions_checked"] == output.json["decisions"] >= 4
+    assert (output.json["decisions_unchecked"], output.json["mismatches"]) == (0, 0)
+    assert "host agrees with" in output.stderr
 
 
 def test_a_mismatch_is_a_check_that_failed(
@@ -137,9 +137,9 @@ def test_a_mismatch_is_a_check_that_failed(
         lambda self, twin: begin(self, DecisionTwin(twin.tables, shape("sine"), other)),
     )
     options = ["--tables", rig.small_table(), "--robot", "pool", "--path", "sine", "--simulated-time", "6"]
-    told = frogkick(capsys, "run", *options, "--plan", "both", "--json")
-    assert (told.code, told.stdout) == (1, "")
-    last = told.stderr.splitlines()[-1]
+    output = frogkick(capsys, "run", *options, "--plan", "both", "--json")
+    assert (output.code, output.stdout) == (1, "")
+    last = output.stderr.splitlines()[-1]
     assert last.startswith("frogkick: decision ") and "cost" in last
 
 

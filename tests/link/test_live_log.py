@@ -92,8 +92,8 @@ def test_a_killed_run_leaves_what_it_had_recorded(tmp_path: Path, capsys: pytest
         log = read_run(part_of(target))
     assert len(log.decisions) >= 1 and len(log.fixes) > 10
     assert (log.fixes.extra["robot_status"] == 0).mean() > 0.8
-    told = frogkick(capsys, "log", "show", part_of(target), "--out", tmp_path / "killed.png", "--json")
-    assert told.code == 0 and CUT_OFF in told.stdout
+    output = frogkick(capsys, "log", "show", part_of(target), "--out", tmp_path / "killed.png", "--json")
+    assert output.code == 0 and CUT_OFF in output.stdout
     assert (tmp_path / "killed.png").stat().st_size > 5000
 
 

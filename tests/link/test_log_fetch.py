@@ -51,10 +51,10 @@ def test_fetched_by_command_and_decided_again(
     assert fetched.code == 0, fetched.stderr
     kinds = fetched.json["kinds"]
     assert (kinds["FIX"], kinds["START"], kinds["DISARM"], fetched.json["gaps"]) == (5, 1, 1, 0)
-    told = frogkick(capsys, "log", "replay", file, "--tables", rig.small_table(), "--json")
-    assert told.code == 0, told.stdout + told.stderr
-    assert told.json["mismatches"] == 0
-    assert told.json["decisions"] == kinds.get("DECISION", 0) >= 1
+    output = frogkick(capsys, "log", "replay", file, "--tables", rig.small_table(), "--json")
+    assert output.code == 0, output.stdout + output.stderr
+    assert output.json["mismatches"] == 0
+    assert output.json["decisions"] == kinds.get("DECISION", 0) >= 1
 
 
 def test_a_firmware_without_a_log(
@@ -62,6 +62,6 @@ def test_a_firmware_without_a_log(
 ) -> None:
     with rigged("serial", LiveRobot(), tmp_path, monkeypatch) as there:
         there.wire.close()
-        told = frogkick(capsys, "log", "fetch", "--robot", there.target, "--out", tmp_path / "log.h5")
-    assert told.code != 0 and "its firmware keeps no log" in told.stderr
+        output = frogkick(capsys, "log", "fetch", "--robot", there.target, "--out", tmp_path / "log.h5")
+    assert output.code != 0 and "its firmware keeps no log" in output.stderr
     assert not (tmp_path / "log.h5").exists()

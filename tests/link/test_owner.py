@@ -59,10 +59,10 @@ def new(tmp_path: Path) -> Path:
     return tmp_path / "new.fkt"
 
 
-def refused(told: Outcome, *words: str) -> None:
-    assert (told.code, told.stdout, told.stderr.count("\n")) == (2, "", 1), told.stderr
+def refused(outcome: Outcome, *words: str) -> None:
+    assert (outcome.code, outcome.stdout, outcome.stderr.count("\n")) == (2, "", 1), outcome.stderr
     for word in words:
-        assert word in told.stderr
+        assert word in outcome.stderr
 
 
 def owner_of(robot: LiveRobot) -> bytes:
@@ -73,14 +73,14 @@ def owner_of(robot: LiveRobot) -> bytes:
 def test_a_robot_gets_an_owner_and_loses_him(
     robot: LiveRobot, target: str, new: Path, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = frogkick(capsys, "own", "--robot", target)
+    output = frogkick(capsys, "own", "--robot", target)
     key = home / "frogkick" / "owner.key"
-    assert told.code == 0 and str(key) in told.stdout and "copy" in told.stdout
+    assert output.code == 0 and str(key) in output.stdout and "copy" in output.stdout
     assert owner_of(robot) == bytes.fromhex(key.read_text()) != bytes(32)
     if sys.platform != "win32":
         assert stat.S_IMODE(key.stat().st_mode) == 0o600
-    told = frogkick(capsys, "push", new, "--robot", target)
-    assert told.code == 0 and robot.flash.image == NEW, told.stderr
+    output = frogkick(capsys, "push", new, "--robot", target)
+    assert output.code == 0 and robot.flash.image == NEW, output.stderr
     again = frogkick(capsys, "own", "--robot", target, "--json")
     assert again.json == {"robot": target, "owned": True, "key": str(key)}
     assert owner_of(robot) == bytes.fromhex(key.read_text())
@@ -104,11 +104,11 @@ def test_a_robot_gets_an_owner_and_loses_him(
     assert not none.exists()
     assert robot.flash.image == NEW and owner_of(robot) == bytes.fromhex(moved.read_text())
 
-    told = frogkick(capsys, "push", "--rollback", "--robot", target, "--key", moved)
-    assert told.code == 0 and robot.flash.image == OLD
+    output = frogkick(capsys, "push", "--rollback", "--robot", target, "--key", moved)
+    assert output.code == 0 and robot.flash.image == OLD
     robot.restart()
-    told = frogkick(capsys, "own", "--robot", target, "--release", "--key", moved, "--json")
-    assert told.json == {"robot": target, "owned": False, "key": None} and owner_of(robot) == bytes(32)
+    output = frogkick(capsys, "own", "--robot", target, "--release", "--key", moved, "--json")
+    assert output.json == {"robot": target, "owned": False, "key": None} and owner_of(robot) == bytes(32)
     assert frogkick(capsys, "push", new, "--robot", target).code == 0
 
 
@@ -130,8 +130,8 @@ def test_a_malformed_key_is_refused_before_the_robot_is_looked_for(
 ) -> None:
     (tmp_path / "bad.key").write_text("no key")
     words = [str(new) if word == "NEW" else word for word in command.split()]
-    told = frogkick(capsys, *words, "--robot", "serial:/dev/none", "--key", tmp_path / "bad.key")
-    refused(told, "bad.key", "64 hexadecimal digits")
+    output = frogkick(capsys, *words, "--robot", "serial:/dev/none", "--key", tmp_path / "bad.key")
+    refused(output, "bad.key", "64 hexadecimal digits")
 
 
 def test_a_key_that_cannot_be_kept_is_not_given(
@@ -149,12 +149,12 @@ def test_no_message_holds_a_key(robot: LiveRobot, target: str, capsys: pytest.Ca
     """Not even where the robot refuses the command that carries it."""
     robot.core.core.fk_test_random_fails = 1
     try:
-        told = frogkick(capsys, "own", "--robot", target)
+        output = frogkick(capsys, "own", "--robot", target)
     finally:
         robot.core.core.fk_test_random_fails = 0
-    refused(told, "the robot refuses KEY: UNKNOWN")
+    refused(output, "the robot refuses KEY: UNKNOWN")
     key = auth.read_key(auth.default_key_file())
-    assert key.hex() not in told.stderr and "key_0" not in told.stderr
+    assert key.hex() not in output.stderr and "key_0" not in output.stderr
     assert "key=" not in repr(auth.CommandCodes(key))
 
 

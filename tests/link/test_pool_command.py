@@ -125,9 +125,9 @@ def test_a_table_goes_there_and_back(
     built_in = rig.tables().crc32
     assert pool.told["table_crc"] == f"{built_in:08x}"
     write_bytes(tmp_path / "new.fkt", synthetic.affine_image(20, 9, 2))
-    told = frogkick(capsys, "push", tmp_path / "new.fkt", "--robot", pool.target, "--json")
-    assert told.code == 0, told.stderr
-    assert told.json["bytes_sent"] > 1000 and told.json["kept_crc"] == f"{built_in:08x}"
+    output = frogkick(capsys, "push", tmp_path / "new.fkt", "--robot", pool.target, "--json")
+    assert output.code == 0, output.stderr
+    assert output.json["bytes_sent"] > 1000 and output.json["kept_crc"] == f"{built_in:08x}"
     assert pool.act("restart") == "the robot was switched off and on"
     again = frogkick(capsys, "push", tmp_path / "new.fkt", "--robot", pool.target, "--json")
     assert (again.code, again.json["bytes_sent"]) == (0, 0), "its flash outlived that"
@@ -139,13 +139,13 @@ def test_it_gets_an_owner_and_loses_him(
     pool: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     key, other = tmp_path / "mine.key", tmp_path / "other.key"
-    told = frogkick(capsys, "own", "--robot", pool.target, "--key", key)
-    assert told.code == 0 and len(read_key(key)) == 32, told.stderr
+    output = frogkick(capsys, "own", "--robot", pool.target, "--key", key)
+    assert output.code == 0 and len(read_key(key)) == 32, output.stderr
     other.write_text("ab" * 32)
     stranger = frogkick(capsys, "push", "--rollback", "--robot", pool.target, "--key", other)
     assert stranger.code == 2 and "key" in stranger.stderr
-    told = frogkick(capsys, "own", "--robot", pool.target, "--key", key, "--release")
-    assert told.code == 0, told.stderr
+    output = frogkick(capsys, "own", "--robot", pool.target, "--key", key, "--release")
+    assert output.code == 0, output.stderr
 
 
 @from_ci
@@ -161,12 +161,12 @@ def test_a_run_by_a_tracker_s_lines_and_the_robot_s_log(
     try:
         options = ("--fixes", "stdin", "--simulated-time", f"{2.5 * PERIOD_S}", "--out", tmp_path / "run.h5")
         running = run_command(pool, *options, stdin=tracker.stdout)
-        told, said = running.communicate(timeout=120.0)
+        reported, said = running.communicate(timeout=120.0)
     finally:
         tracker.terminate()
         tracker.communicate()
     assert running.returncode == 0, said
-    numbers, log = json.loads(told), read_run(tmp_path / "run.h5")
+    numbers, log = json.loads(reported), read_run(tmp_path / "run.h5")
     assert numbers["ended"] == TIME and numbers["decisions"] >= 2 and numbers["progress_mps"] > 0.005
     assert (log.fixes.x_m[0], log.fixes.y_m[0]) == pytest.approx((0.3, 0.4), abs=1e-3)
     assert np.hypot(log.fixes.x_m[-1] - 0.3, log.fixes.y_m[-1] - 0.4) > 0.01, "it swam"
@@ -192,7 +192,7 @@ def test_a_run_by_pictures_that_a_page_shows(pool: Served, camera: Path, tmp_pat
         with urllib.request.urlopen(found[1] + "picture.jpg", timeout=60.0) as answer:
             shown = cv2.imdecode(np.frombuffer(answer.read(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
             corners = np.array(json.loads(answer.headers["X-Tag"]))
-        told, more = running.communicate(timeout=120.0)
+        reported, more = running.communicate(timeout=120.0)
     finally:
         running.kill()
         running.communicate()
@@ -202,7 +202,7 @@ def test_a_run_by_pictures_that_a_page_shows(pool: Served, camera: Path, tmp_pat
     assert shown.shape == expected.shape and np.abs(shown.astype(float) - expected).mean() < 6.0
     middle = usual.view.pixels(np.array([[BEGIN[0], BEGIN[1], usual.tag_height_m]]))[0]
     assert corners.mean(axis=0) == pytest.approx(middle, abs=2.0), "the tag's outline lies on the tag"
-    numbers = json.loads(told)
+    numbers = json.loads(reported)
     assert numbers["ended"] == TIME and numbers["decisions"] >= 2 and numbers["progress_mps"] > 0.005
     assert numbers["mean_distance_m"] < 5e-3
 
@@ -212,8 +212,8 @@ def test_bad_days(pool: Served, camera: Path, capsys: pytest.CaptureFixture[str]
     pool.act("put")
     track = ("camera", "track", camera, "--source", pool.source, "--seconds", "0.5", "--json")
     assert pool.act("hide") == "the tag is covered"
-    told = frogkick(capsys, *track)
-    assert told.code == 1 and told.json["fixes"] == 0 and set(told.json["reasons"]) == {"no tag"}
+    output = frogkick(capsys, *track)
+    assert output.code == 1 and output.json["fixes"] == 0 and set(output.json["reasons"]) == {"no tag"}
     assert pool.act("show") == "the tag is uncovered"
     assert pool.act("mirror") == "the camera's pictures are mirrored"
     assert frogkick(capsys, *track).code == 1
@@ -247,8 +247,8 @@ def test_its_flash_outlives_it_and_its_port_keeps_its_name(
     assert not (tmp_path / "frog").exists()
     with serving(tmp_path, *options, "--begin", "0.5,0.3,90") as pool:
         assert pool.told["begin"] == "0.5,0.3,90"
-        told = frogkick(capsys, *push)
-        assert told.json["bytes_sent"] == 0, "it has the table already"
+        output = frogkick(capsys, *push)
+        assert output.json["bytes_sent"] == 0, "it has the table already"
         code, said = pool.end(signal.SIGTERM)
         assert code == 0 and said.count("\n") == 1, said
 
@@ -259,8 +259,8 @@ def test_the_virtual_chip_keeps_its_flash_too(tmp_path: Path, capsys: pytest.Cap
     options = ("--virtual", "--flash", str(tmp_path / "chip.bin"))
     for expected in (True, False):
         with serving(tmp_path, *options) as pool:
-            told = frogkick(capsys, "push", tmp_path / "new.fkt", "--robot", pool.target, "--json")
-            assert told.code == 0 and bool(told.json["bytes_sent"]) is expected, told.stderr
+            output = frogkick(capsys, "push", tmp_path / "new.fkt", "--robot", pool.target, "--json")
+            assert output.code == 0 and bool(output.json["bytes_sent"]) is expected, output.stderr
             assert pool.end()[0] == 0
     held = bytearray((tmp_path / "chip.bin").read_bytes())
     held[0x400] ^= 1
@@ -285,12 +285,12 @@ def test_a_run_whose_connection_was_lost_for_too_long(camera: Path, tmp_path: Pa
             pool.act("unplug")
             time.sleep(4.0)
             pool.act("plug")
-            told, said = running.communicate(timeout=120.0)
+            reported, said = running.communicate(timeout=120.0)
         finally:
             running.kill()
             running.communicate()
     assert running.returncode == 1, said
-    assert json.loads(told)["ended"] == DROPPED
+    assert json.loads(reported)["ended"] == DROPPED
     assert "the path was not completed, as the connection was lost" in said
 
 
@@ -317,6 +317,6 @@ def test_what_it_refuses(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("short").write_bytes(b"short")
-    told = frogkick(capsys, "pool", "--tables", rig.small_table(), *options.split())
-    assert (told.code, told.stdout) == (2, "")
-    assert told.stderr.count("\n") == 1 and words in told.stderr
+    output = frogkick(capsys, "pool", "--tables", rig.small_table(), *options.split())
+    assert (output.code, output.stdout) == (2, "")
+    assert output.stderr.count("\n") == 1 and words in output.stderr

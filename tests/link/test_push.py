@@ -55,9 +55,9 @@ def test_push_and_back(
 ) -> None:
     with rigged(transport, robot, tmp_path, monkeypatch) as there:
         there.wire.close()  # the command opens its own
-        told = frogkick(capsys, "push", new, "--robot", there.target, "--json")
-        assert told.code == 0, told.stderr
-        numbers = told.json
+        output = frogkick(capsys, "push", new, "--robot", there.target, "--json")
+        assert output.code == 0, output.stderr
+        numbers = output.json
         assert (numbers["bytes_sent"], numbers["resumed_at"]) == (len(NEW), 0)
         assert (numbers["table_crc"], numbers["kept_crc"]) == (f"{crc_of(NEW):08x}", f"{crc_of(OLD):08x}")
         assert robot.flash.image == NEW
@@ -72,9 +72,9 @@ def test_a_robot_left_armed_is_disarmed_and_rests_first(
     robot: LiveRobot, line: PtyLine, new: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert robot.core.status("ARM") == "OK"
-    told = frogkick(capsys, "push", new, "--robot", f"serial:{line.path}")
-    assert told.code == 0, told.stderr
-    assert f"received {len(NEW)} bytes" in told.stdout and "frogkick push --rollback" in told.stdout
+    output = frogkick(capsys, "push", new, "--robot", f"serial:{line.path}")
+    assert output.code == 0, output.stderr
+    assert f"received {len(NEW)} bytes" in output.stdout and "frogkick push --rollback" in output.stdout
     assert robot.core.state() == "DISARMED"
 
 
@@ -82,8 +82,8 @@ def test_another_robot_refuses(
     robot: LiveRobot, line: PtyLine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_bytes(tmp_path / "newt.fkt", synthetic.affine_image(20, 9, 1, robot_id="newt"))
-    told = frogkick(capsys, "push", tmp_path / "newt.fkt", "--robot", f"serial:{line.path}")
-    assert (told.code, told.stdout) == (2, "") and "newt" in told.stderr
+    output = frogkick(capsys, "push", tmp_path / "newt.fkt", "--robot", f"serial:{line.path}")
+    assert (output.code, output.stdout) == (2, "") and "newt" in output.stderr
     assert robot.flash.image == OLD and "TABLE_BEGIN" not in robot.names()
 
 
@@ -101,9 +101,9 @@ def test_another_robot_refuses(
     ],
 )
 def test_bad_arguments(capsys: pytest.CaptureFixture[str], arguments: str, words: str) -> None:
-    told = frogkick(capsys, *arguments.split())
-    assert (told.code, told.stdout) == (2, "")
-    assert words in told.stderr and told.stderr.count("\n") == 1
+    output = frogkick(capsys, *arguments.split())
+    assert (output.code, output.stdout) == (2, "")
+    assert words in output.stderr and output.stderr.count("\n") == 1
 
 
 def retuned(
@@ -152,18 +152,18 @@ def retuned(
 def test_retune_sends_what_is_better(
     robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
-    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True)
-    assert told.code == 0, told.stderr
-    assert told.json["bytes_sent"] == len(NEW)
-    assert told.json["pushed"]["kept_crc"] == f"{crc_of(OLD):08x}"
+    output = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True)
+    assert output.code == 0, output.stderr
+    assert output.json["bytes_sent"] == len(NEW)
+    assert output.json["pushed"]["kept_crc"] == f"{crc_of(OLD):08x}"
     assert robot.flash.image == NEW
 
 
 def test_retune_sends_nothing_that_is_no_better(
     robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
-    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=False)
-    assert told.code == 1 and told.json["bytes_sent"] == 0 and told.json["pushed"] is None
+    output = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=False)
+    assert output.code == 1 and output.json["bytes_sent"] == 0 and output.json["pushed"] is None
     assert robot.heard == [] and line.received == 0
 
 
@@ -171,9 +171,9 @@ def test_retune_sends_nothing_to_a_robot_with_other_tables(
     robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
     """It was weighed against tables that this robot does not carry."""
-    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True, before=OTHER)
-    assert told.code == 2 and told.json["pushed"] is None and told.json["better"] is True
-    assert told.stderr.splitlines()[-1].startswith(
+    output = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True, before=OTHER)
+    assert output.code == 2 and output.json["pushed"] is None and output.json["better"] is True
+    assert output.stderr.splitlines()[-1].startswith(
         f"frogkick: the new tables are made but were not sent: the robot carries the table with CRC-32 "
         f"{crc_of(OLD):08x}, the new one was compared with {crc_of(OTHER):08x}"
     )
@@ -183,9 +183,9 @@ def test_retune_sends_nothing_to_a_robot_with_other_tables(
 def test_retune_keeps_what_it_made_where_no_robot_answers(
     tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
-    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{tmp_path / 'none'}", better=True)
-    assert told.code == 2 and told.json["bytes_sent"] == 0
-    last = told.stderr.splitlines()[-1]
+    output = retuned(monkeypatch, capsys, tmp_path, f"serial:{tmp_path / 'none'}", better=True)
+    assert output.code == 2 and output.json["bytes_sent"] == 0
+    last = output.stderr.splitlines()[-1]
     assert "is not there" in last and f"'frogkick push {tmp_path / 'out' / TABLES} --robot serial:" in last
 
 
@@ -193,8 +193,8 @@ def test_retune_keeps_what_it_made_where_no_robot_answers(
 def test_retune_sends_to_a_virtual_robot(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     """Switched on with the old tables, it takes the new ones by its UART."""
     old, new = rig.small_table().read_bytes(), rig.changed_image(32, b"another library")
-    told = retuned(monkeypatch, capsys, tmp_path, "virtual", True, old, new)
-    assert told.code == 0, told.stderr
-    pushed = told.json["pushed"]
-    assert told.json["bytes_sent"] == pushed["bytes_sent"] == len(new)
+    output = retuned(monkeypatch, capsys, tmp_path, "virtual", True, old, new)
+    assert output.code == 0, output.stderr
+    pushed = output.json["pushed"]
+    assert output.json["bytes_sent"] == pushed["bytes_sent"] == len(new)
     assert (pushed["table_crc"], pushed["kept_crc"]) == (f"{crc_of(new):08x}", f"{crc_of(old):08x}")

@@ -64,8 +64,8 @@ class Filmed:
             time.sleep(max(0.0, begin_s + sequence / self.rate_hz - time.monotonic()))
             taken_s = time.monotonic()
             self.pool.swim()
-            told = self.pool.pool.truth.pose_world
-            pose = np.array(told[-1] if told else (0.0, 0.0, 0.0))
+            reported = self.pool.pool.truth.pose_world
+            pose = np.array(reported[-1] if reported else (0.0, 0.0, 0.0))
             yield Frame(SCENE.picture(placed(pose), self.rng), taken_s, sequence, True)
             sequence += 1
 
@@ -165,10 +165,10 @@ def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
     assert "the path was not completed, as position fixes stopped coming" in said.splitlines()[-1]
     first = cv2.imread(str(filmed / "pictures" / "000.png"), cv2.IMREAD_GRAYSCALE)
     assert shown.shape == first.shape and np.abs(shown.astype(float) - first).mean() < 6.0, "its picture"
-    told = json.loads(told_json)
+    output = json.loads(told_json)
     checks = [line.split(": ")[1] for line in said.splitlines() if line.startswith("start check: ")]
     assert checks == ["position fixes", "path", "table", "battery"], said
-    assert told["ended"] == ENDED["STALE"] and told["decisions"] >= 1
+    assert output["ended"] == ENDED["STALE"] and output["decisions"] >= 1
     assert "start check: battery: 11.9 V, measured by hand" in said
     log = read_run(tmp_path / "run.h5")
     assert log.measured["battery_v"] == 11.9 and summary(log).battery_v == 11.9
@@ -180,12 +180,12 @@ def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
 def test_a_path_outside_the_pool_is_refused_before_the_robot_is_looked_for(
     filmed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = frogkick(
+    output = frogkick(
         capsys, "run", "--tables", rig.small_table(), "--robot", "serial:/dev/none", "--path", PATH,
         "--fixes", filmed / "camera.toml", "--source", filmed / "pictures", "--begin", "1.1,0.8,0",
     )  # fmt: skip
-    assert (told.code, told.stdout) == (2, "")
-    assert told.stderr.count("\n") == 1 and "the pool is 1.2 x 0.9 m" in told.stderr
+    assert (output.code, output.stdout) == (2, "")
+    assert output.stderr.count("\n") == 1 and "the pool is 1.2 x 0.9 m" in output.stderr
 
 
 @pytest.mark.parametrize(
@@ -201,8 +201,8 @@ def test_what_is_no_camera(
 ) -> None:
     given = options.replace("CAMERA", str(filmed / "camera.toml"))
     given = given.replace("PICTURES", str(filmed / "pictures"))
-    told = frogkick(
+    output = frogkick(
         capsys, "run", "--tables", rig.small_table(), "--robot", "serial:/dev/none", *given.split()
     )
-    assert (told.code, told.stdout) == (2, "")
-    assert told.stderr.count("\n") == 1 and words in told.stderr
+    assert (output.code, output.stdout) == (2, "")
+    assert output.stderr.count("\n") == 1 and words in output.stderr

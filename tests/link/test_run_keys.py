@@ -74,9 +74,9 @@ class Terminal:
         """Exit code and standard output, and the terminal as it was."""
         assert self.process.stdout is not None
         code = self.process.wait(PATIENCE_S)
-        told = self.process.stdout.read()
+        output = self.process.stdout.read()
         assert termios.tcgetattr(self.number) == self.before, "the terminal is left as it was found"
-        return code, told
+        return code, output
 
 
 @contextmanager
@@ -175,16 +175,16 @@ def test_enter_arms_and_any_key_stops(source: str, film: Path, tmp_path: Path) -
         assert "ARM" in robot.names()
         pressed_s = time.monotonic()
         terminal.press(b"q")
-        code, told = terminal.result()
+        code, reported = terminal.result()
         assert code == 0, bytes(terminal.said[-1000:])
         stopped_s = next(at_s for at_s, frame in robot.heard if frame.name == "STOP")
         assert stopped_s > pressed_s and all(at_s <= stopped_s for at_s, _, _ in robot.pulses)
         assert [name for name in robot.names() if name != "FIX"][-3:] == ["STOP", "DISARM", "STATUS"]
         assert int(robot.core.ask("STATUS")["state"]) == STATE["DISARMED"]
-    assert json.loads(told)["ended"] == STOPPED
+    assert json.loads(reported)["ended"] == STOPPED
     log = read_run(tmp_path / "run.h5")
     assert not part_of(tmp_path / "run.h5").exists(), "the log is whole"
-    assert log.notes == STOPPED and len(log.decisions) == json.loads(told)["decisions"] >= 1
+    assert log.notes == STOPPED and len(log.decisions) == json.loads(reported)["decisions"] >= 1
     assert (log.fixes.extra["robot_status"] == 0).sum() > 3
 
 
@@ -207,6 +207,6 @@ def test_in_the_background_of_a_terminal_nothing_is_asked(tmp_path: Path) -> Non
     with PtyLine(tmp_path / "robot", robot) as line:
         words = [*run_with(line), "--simulated-time", "0.5", "--fixes", "stdin"]
         with seated(tmp_path, words, LivePool(robot.pulses), in_front=False) as terminal:
-            code, told = terminal.result()
+            code, reported = terminal.result()
     assert code == 0, bytes(terminal.said[-1000:])
-    assert json.loads(told)["decisions"] == 1 and ASKED not in terminal.said
+    assert json.loads(reported)["decisions"] == 1 and ASKED not in terminal.said

@@ -41,13 +41,13 @@ def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> No
                 stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=300,
             )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        told = json.loads(done.stdout)
-        assert told["ended"] in (TIME, ENDED["STALE"]) and 1 <= told["decisions"] <= 3, done.stderr
+        output = json.loads(done.stdout)
+        assert output["ended"] in (TIME, ENDED["STALE"]) and 1 <= output["decisions"] <= 3, done.stderr
         assert kit.left_alone()
-        if told["ended"] == TIME:
+        if output["ended"] == TIME:
             break
-    assert told["limit_violations"] is None, "nobody saw its pins"
-    assert told["mean_distance_m"] < 0.02
+    assert output["limit_violations"] is None, "nobody saw its pins"
+    assert output["mean_distance_m"] < 0.02
     assert kit.pulses
     log = read_run(out)
     assert np.hypot(log.fixes.x_m[-1] - log.fixes.x_m[0], log.fixes.y_m[-1] - log.fixes.y_m[0]) > 0.005, (

@@ -295,11 +295,11 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
         command(line, LivePool(robot.pulses), "--dialect", dialect, *options) as process,
     ):
         assert process.stdout is not None and process.stderr is not None
-        told, said = process.stdout.read(), process.stderr.read()
+        output, said = process.stdout.read(), process.stderr.read()
         assert process.wait() == 0, said
     # The core that drives the authors' robot begins with each run, and knows nothing of its limbs' heat.
     assert ("start check: limbs: after a time without supply" in said) == (dialect == "frog2022"), said
-    numbers = json.loads(told)
+    numbers = json.loads(output)
     # Real time here: on a busy machine a decision may be missing.
     assert 1 <= numbers["decisions"] <= 2 and numbers["ended"] in (TIME, ENDED["STALE"])
     assert numbers["limit_violations"] == (0 if dialect == "frog2022" else None)
@@ -340,6 +340,6 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
     ],
 )
 def test_what_does_not_go_together(capsys: pytest.CaptureFixture[str], options: str, words: str) -> None:
-    told = frogkick(capsys, "run", "--tables", rig.small_table(), *options.split())
-    assert (told.code, told.stdout) == (2, "")
-    assert told.stderr.count("\n") == 1 and words in told.stderr
+    output = frogkick(capsys, "run", "--tables", rig.small_table(), *options.split())
+    assert (output.code, output.stdout) == (2, "")
+    assert output.stderr.count("\n") == 1 and words in output.stderr

@@ -96,12 +96,12 @@ def test_a_disk_that_takes_no_more_is_said(tmp_path: Path) -> None:
 def test_the_command_keeps_them(filmed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
     robot, log = LiveRobot(), tmp_path / "run.h5"
     with PtyLine(tmp_path / "robot", robot) as line:
-        told = frogkick(
+        output = frogkick(
             capsys, "run", "--path", "line", "--tables", rig.small_table(), "--robot", f"serial:{line.path}",
             "--fixes", filmed / "camera.toml", "--source", filmed / "pictures", "--begin", "here",
             "--simulated-time", "0.5", "--out", log, "--video", "--json",
         )  # fmt: skip
-    assert told.code == 0, told.stderr
+    assert output.code == 0, output.stderr
     rows, run = rows_of(times_of(log)), read_run(log)
     assert len(pictures_of(video_of(log))) == len(rows) >= 5
     # The fixes of the log are of these pictures, and say so by the same times.
@@ -119,6 +119,6 @@ def test_the_command_keeps_them(filmed: Path, tmp_path: Path, capsys: pytest.Cap
     ],
 )
 def test_a_video_of_nothing_is_refused(capsys: pytest.CaptureFixture[str], options: str, words: str) -> None:
-    told = frogkick(capsys, "run", "--tables", rig.small_table(), "--video", *options.split())
-    assert (told.code, told.stdout) == (2, "")
-    assert told.stderr.count("\n") == 1 and words in told.stderr
+    output = frogkick(capsys, "run", "--tables", rig.small_table(), "--video", *options.split())
+    assert (output.code, output.stdout) == (2, "")
+    assert output.stderr.count("\n") == 1 and words in output.stderr

@@ -51,8 +51,8 @@ def there(robot_there: tuple[LiveRobot, Rigged]) -> Rigged:
 
 def test_a_conversation(robot: LiveRobot, there: Rigged) -> None:
     session = lab_session(there.wire)
-    told = session.handshake(rig.tables())
-    assert told["table_crc"] == rig.tables().crc32
+    reported = session.handshake(rig.tables())
+    assert reported["table_crc"] == rig.tables().crc32
     trips = []
     for _ in range(count(100, 2000, 30)):
         before_s = time.perf_counter()

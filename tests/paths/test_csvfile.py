@@ -50,10 +50,10 @@ def test_more_than_the_planner_holds_is_resampled(tmp_path: pathlib.Path) -> Non
 
 def test_who_gives_more_points_is_told_what_becomes_of_them(tmp_path: pathlib.Path) -> None:
     """How far a zigzag's 201 points are beside the result; of three nothing is said."""
-    told: list[str] = []
+    reported: list[str] = []
     turns = "\n".join(f"{i / 200},{0.02 * (i % 40 // 20)}" for i in range(201))
-    path = from_csv(write(tmp_path, turns), told.append)
-    (line,) = told
+    path = from_csv(write(tmp_path, turns), reported.append)
+    (line,) = reported
     assert line.startswith("path file 'p.csv': 201 points are resampled to 100, the robot's limit; ")
     off_mm = float(line.split("at most ")[1].split(" mm")[0])
     given = np.loadtxt(turns.splitlines(), delimiter=",")
@@ -62,8 +62,8 @@ def test_who_gives_more_points_is_told_what_becomes_of_them(tmp_path: pathlib.Pa
     along = ((given[:, None] - ends[0]) * step).sum(axis=2) / (step**2).sum(axis=1)
     beside = np.linalg.norm(given[:, None] - (ends[0] + along.clip(0.0, 1.0)[..., None] * step), axis=2)
     assert off_mm == pytest.approx(1e3 * beside.min(axis=1).max(), rel=0.05)
-    from_csv(write(tmp_path, "0,0\n1,0\n1,1\n"), told.append)
-    assert len(told) == 1
+    from_csv(write(tmp_path, "0,0\n1,0\n1,1\n"), reported.append)
+    assert len(reported) == 1
 
 
 @pytest.mark.parametrize(

@@ -104,9 +104,9 @@ def test_long_swims_are_shown_faster_and_stay_small(monkeypatch: pytest.MonkeyPa
     assert len(shot.time_s) == 12
     assert shot.time_s[-1] == pytest.approx(3 * HEX.period_s)
     assert shot.speed == pytest.approx(3 * HEX.period_s / 11 * 20)
-    told = write_animation(swim, tmp_path / "x.gif")
-    assert told["pictures"] == 12
-    assert told["bytes"] < 12 * 30_000
+    reported = write_animation(swim, tmp_path / "x.gif")
+    assert reported["pictures"] == 12
+    assert reported["bytes"] < 12 * 30_000
     # Each group that fires is seen in at least one picture, though the pulses are shorter than the spacing.
     assert {0b101001, 0b010110} <= {
         mask & both for mask in shot.heated.tolist() for both in (0b101001, 0b010110)
@@ -117,9 +117,9 @@ def test_the_gif_shows_frame_limbs_and_trail(tmp_path: Path) -> None:
     file = tmp_path / "swim.gif"
     done: list[tuple[int, int]] = []
     swim = actions_swim(HEX, [HEX.action("B")])
-    told = write_animation(swim, file, lambda k, n: done.append((k, n)))
+    reported = write_animation(swim, file, lambda k, n: done.append((k, n)))
     pictures = pictures_of(file)
-    assert told == {"pictures": 22, "rate_hz": 20, "speed": 1.0, "bytes": file.stat().st_size}
+    assert reported == {"pictures": 22, "rate_hz": 20, "speed": 1.0, "bytes": file.stat().st_size}
     assert done[-1] == (22, 22)
     with Image.open(file) as moving:
         assert moving.info["duration"] == 50
@@ -149,9 +149,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run_command(
         ["simulate", "streamlined", "--actions", "C", "--animation", str(file), "--json"]
     ) == 0  # fmt: skip
-    told = json.loads(capsys.readouterr().out)
-    assert told["animation"]["pictures"] == len(pictures_of(file)) == 29
-    assert told["speed_mps"] > 0.0
+    output = json.loads(capsys.readouterr().out)
+    assert output["animation"]["pictures"] == len(pictures_of(file)) == 29
+    assert output["speed_mps"] > 0.0
     assert run_command(["simulate", "--actions", "C", "--animation", str(tmp_path / "swim.avi")]) == 2
     assert "does not end in .gif or .mp4" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["swim.gif"]

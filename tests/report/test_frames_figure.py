@@ -20,8 +20,8 @@ def test_the_tracked_picture_is_what_the_command_draws(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "frames.png"
-    told = frogkick(capsys, "robot", "frames", "--out", out, "--json")
-    assert told.code == 0 and told.json["units"]["angle"] == "rad"
+    output = frogkick(capsys, "robot", "frames", "--out", out, "--json")
+    assert output.code == 0 and output.json["units"]["angle"] == "rad"
     with Image.open(out) as made, Image.open(TRACKED) as kept:
         assert np.array_equal(np.asarray(made), np.asarray(kept)), "frogkick robot frames --out " + str(
             TRACKED
@@ -45,6 +45,6 @@ def test_left_is_left_and_limbs_are_where_the_robot_has_them() -> None:
 
 
 def test_a_name_that_is_no_picture_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = frogkick(capsys, "robot", "frames", "--out", tmp_path / "frames.txt")
-    assert told.code == 2 and "does not end in .png or .svg or .pdf" in told.stderr
+    output = frogkick(capsys, "robot", "frames", "--out", tmp_path / "frames.txt")
+    assert output.code == 2 and "does not end in .png or .svg or .pdf" in output.stderr
     assert list(tmp_path.iterdir()) == []

@@ -101,7 +101,7 @@ def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
     write_identify_page(target, told_apart)
     links = self_contained(target.read_text(encoding="utf-8"))
     assert len(links.found) == 7
-    for told in (
+    for reported in (
         "Verdict: found (limb_wear rear_left)", "noise floor", "5 periods ahead", "by action, limb, time "
         "and place",
         "fixed at the nominal value", "cannot distinguish limb_wear rear_left from group_gain rear",
@@ -111,7 +111,7 @@ def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
         "limb_wear rear_left from",
         "record from rest: GBE (3 periods, 12.0 sigma apart)", "Unexplained residuals", "made31", "made33",
     ):  # fmt: skip
-        assert told in links.text, told
+        assert reported in links.text, reported
     before, after = outcome.tested.before, outcome.tested.after
     assert f"{1e3 * before.position_rmse_m:.2f}" in links.text
     assert f"{1e3 * after.position_rmse_m:.2f}" in links.text

@@ -111,8 +111,8 @@ def test_a_law_is_told_in_words_as_a_formula_and_as_a_picture(
 def test_every_law_of_the_grammar_is_told_in_words() -> None:
     for term in kinds().values():
         law = law_of(term)
-        told = sentence_of(law)
-        assert told.endswith(".") and "{" not in told and "LIMB" not in told
+        reported = sentence_of(law)
+        assert reported.endswith(".") and "{" not in reported and "LIMB" not in reported
         assert depends_on(law) in NEEDS and formula_of(law)
     pull = {"pull": {"value": -1e-3, "unit": "N"}}
     own = Law(on="wrench", title="spring", x_n="-pull * sign(x_m)", parameters=pull)

@@ -137,11 +137,11 @@ def test_the_rings_report(tmp_path: Path) -> None:
     links = self_contained(target.read_text(encoding="utf-8"))
     assert links.beside == ["line.h5", "sine.h5"] and all((tmp_path / name).exists() for name in links.beside)
     assert len(links.found) == 4  # the robot, its actions, a picture for each path
-    for told in (
+    for reported in (
         "distance", "actions", "estimate", "mismatches", "limits broken", "flash", "RAM", "stack",
         "one plan at depth 1", "one plan at depth 4", "cycles at 64 MHz", "Line", "Sine", "15 Hz",
         "library, tables", "actions: which limbs to heat", "is followed least well", "robot in any period",
     ):  # fmt: skip
-        assert told in links.text, told
+        assert reported in links.text, reported
     assert "nan" not in links.text.lower().split()
     assert str(tmp_path) not in links.text

@@ -77,20 +77,25 @@ def test_other_kinds_of_pictures_are_refused(tmp_path: Path) -> None:
 def test_show_says_what_the_robot_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "hex.png"
     assert run_command(["robot", "show", "hexapod", "--out", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["id"], told["nodes"], len(told["limbs"]), len(told["actions"])) == ("hexapod", 158, 6, 12)
-    assert told["limbs"][5]["name"] == "middle_right"
-    assert told["limbs"][5]["root_m"] == [0.0, -0.06]
-    assert told["actions"][2] == {
+    output = json.loads(capsys.readouterr().out)
+    assert (output["id"], output["nodes"], len(output["limbs"]), len(output["actions"])) == (
+        "hexapod",
+        158,
+        6,
+        12,
+    )
+    assert output["limbs"][5]["name"] == "middle_right"
+    assert output["limbs"][5]["root_m"] == [0.0, -0.06]
+    assert output["actions"][2] == {
         "name": "C",
         "first": ["front_left", "middle_left"],
         "second": ["rear_left"],
     }
-    assert told["sizes"]["frame_length_m"] == pytest.approx(0.12)
-    assert told["sizes"]["frame_width_m"] == pytest.approx(0.12)
-    assert told["mass_kg"] == pytest.approx(load_robot("hexapod").mass_kg)
-    assert told["sizes"]["mass_with_water_kg"] > told["mass_kg"]
-    assert told["limits"]["limbs_at_once_max"] == 4
+    assert output["sizes"]["frame_length_m"] == pytest.approx(0.12)
+    assert output["sizes"]["frame_width_m"] == pytest.approx(0.12)
+    assert output["mass_kg"] == pytest.approx(load_robot("hexapod").mass_kg)
+    assert output["sizes"]["mass_with_water_kg"] > output["mass_kg"]
+    assert output["limits"]["limbs_at_once_max"] == 4
     with Image.open(out) as picture:
         assert min(picture.size) > 600
 

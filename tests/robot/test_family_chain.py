@@ -73,9 +73,9 @@ def test_the_streamlined_hull_is_the_faster_one_of_the_same_mass() -> None:
 
 def told_by(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     assert run_command([*arguments, "--json"]) == 0, capsys.readouterr().err
-    told = json.loads(capsys.readouterr().out)
-    assert isinstance(told, dict)
-    return told
+    output = json.loads(capsys.readouterr().out)
+    assert isinstance(output, dict)
+    return output
 
 
 @from_ci
@@ -86,11 +86,11 @@ def test_six_limbs_from_the_file_to_the_closed_loop(
     """Library, table, emitted C, both firmware targets, checks on the virtual chip, a run along a path."""
     robot = load_robot("hexapod")
     lib, fkt, emitted = tmp_path / "lib.h5", tmp_path / "hex.fkt", tmp_path / "emitted"
-    told = told_by(
+    output = told_by(
         capsys, "library", "build", "hexapod", "--states", "6", "--sampling", "visited", "--workers", "1",
         "--out", str(lib),
     )  # fmt: skip
-    assert told["transitions"] == 72
+    assert output["transitions"] == 72
     told_by(capsys, "tables", "build", str(lib), "--test-states", "4", "--out", str(fkt))
     tables = read_image(fkt)
     assert (tables.robot_id, tables.limbs, len(tables.actions), len(tables.states)) == ("hexapod", 6, 12, 6)

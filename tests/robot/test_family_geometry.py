@@ -95,21 +95,21 @@ def only_front(table: dict[str, Any]) -> None:
     ],
 )  # fmt: skip
 def test_what_may_not_be_meant_is_told(change: Callable[[dict[str, Any]], None], says: str) -> None:
-    told = robot_warnings(parse_robot(changed(change), source="mine.toml"))
-    assert any(says in line for line in told), told
+    reported = robot_warnings(parse_robot(changed(change), source="mine.toml"))
+    assert any(says in line for line in reported), reported
     assert not any(says in line for line in robot_warnings(ROBOT))
 
 
 def test_a_limb_that_is_curled_over_two_edges_is_named_once() -> None:
     text = load_robot("hexapod").toml.replace("length_m = 0.0355", "length_m = 0.042", 1)
-    told = robot_warnings(parse_robot(text, source="mine.toml"))
-    assert any(line.startswith("limbs front_right, front_left, ") for line in told), told
+    reported = robot_warnings(parse_robot(text, source="mine.toml"))
+    assert any(line.startswith("limbs front_right, front_left, ") for line in reported), reported
 
 
 @pytest.mark.parametrize("name", built_in_robots())
 def test_built_in_robots_have_nothing_but_curls_over_their_edge(name: str) -> None:
-    told = robot_warnings(load_robot(name))
-    assert all("curled over the frame edge" in line for line in told), told
+    reported = robot_warnings(load_robot(name))
+    assert all("curled over the frame edge" in line for line in reported), reported
 
 
 @pytest.mark.parametrize("name", built_in_robots())

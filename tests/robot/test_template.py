@@ -45,8 +45,8 @@ def test_a_new_robot_is_like_the_one_it_began_from(tmp_path: Path, base: str) ->
     assert mine.actuation().activation.tolist() == old.actuation().activation.tolist()
     assert load_robot(tmp_path / "mine.toml") == mine
     lines = (tmp_path / "mine.toml").read_text().splitlines()
-    told = {line.split(" = ")[0] for above, line in itertools.pairwise(lines) if above[:2] == "# "}
-    assert told >= {re.sub(r".*\.", "", name) for name in ABOUT if not name.startswith("battery.")}
+    reported = {line.split(" = ")[0] for above, line in itertools.pairwise(lines) if above[:2] == "# "}
+    assert reported >= {re.sub(r".*\.", "", name) for name in ABOUT if not name.startswith("battery.")}
 
 
 @pytest.mark.parametrize("limbs", [1, 2, 3])
@@ -71,8 +71,8 @@ def test_the_command_writes_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         ((tmp_path / "a b.toml",), "id is 'a b'"),
         ((tmp_path / "x.toml", "--from", "frog2021"), "did you mean 'frog2022'"),
     ):
-        told = frogkick(capsys, "robot", "new", *arguments)
-        assert told.code == 2 and says in told.stderr and told.stderr.count("\n") == 1, told.stderr
+        output = frogkick(capsys, "robot", "new", *arguments)
+        assert output.code == 2 and says in output.stderr and output.stderr.count("\n") == 1, output.stderr
     assert file.read_text() == text and [each.name for each in tmp_path.iterdir()] == ["tri.toml"]
     with pytest.raises(InputError, match="--limbs is 0"):
         write_new_robot(tmp_path / "y.toml", limbs=0)

@@ -167,15 +167,15 @@ def test_a_real_run_is_drawn_over_its_camera_s_picture(capsys: pytest.CaptureFix
             address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
             keep(recording)
             deadline_s = time.monotonic() + 120.0
-            told: dict[str, object] = {}
-            while not told.get("fixes"):
+            output: dict[str, object] = {}
+            while not output.get("fixes"):
                 assert time.monotonic() < deadline_s, "nobody draws"
-                told = json.loads(urllib.request.urlopen(address + "state.json", timeout=60.0).read())
+                output = json.loads(urllib.request.urlopen(address + "state.json", timeout=60.0).read())
                 time.sleep(0.02)
             corners = json.loads(
                 urllib.request.urlopen(address + "picture.jpg", timeout=60.0).headers["X-Tag"]
             )
-    drawn = told["camera"]
+    drawn = output["camera"]
     assert isinstance(drawn, dict) and drawn["size"] == list(of.view.image_px)
     assert set(drawn) == {"size", "path", "fixes", "track", "robot", "decisions", "fan", "branch"}
     assert drawn["fixes"][0] == pytest.approx(np.mean(corners, axis=0), abs=1.0)

@@ -118,8 +118,8 @@ def test_mcap_has_poses_path_and_plan_in_foxglove_s_schemas(swum: RunLog, tmp_pa
         ends = [[point.x, point.y] for point in entity.lines[0].points]
         assert ends == [estimate[:2].tolist(), predicted[:2].tolist()]
         assert entity.texts[0].text == swum.action_names[action]
-    told = [said.name for _, said in found["/decision"]]
-    assert told == [swum.action_names[index] for index in decisions.action]
+    reported = [said.name for _, said in found["/decision"]]
+    assert reported == [swum.action_names[index] for index in decisions.action]
     assert [said.limb_mask for _, said in found["/stroke"]] == swum.strokes.limb_mask.tolist()
     assert [sum(1 << limb for limb in said.limbs) for _, said in found["/stroke"]] == [
         said.limb_mask for _, said in found["/stroke"]
@@ -184,8 +184,8 @@ def test_a_recorded_run_without_estimates_opens_too(frog2022_dir: Path, tmp_path
     assert counts["/fix"] == counts["/tf"] == usable and counts["/path"] == 1
     assert not {"/estimate", "/plan", "/truth"} & set(counts)
     captures = run.fixes.capture_time_s[run.fixes.usable]
-    told = [s.timestamp.seconds * 10**9 + s.timestamp.nanos for _, s in messages(target)["/fix"]]
-    assert told == [round(float(time_s) * 1e9) for time_s in captures]
+    reported = [s.timestamp.seconds * 10**9 + s.timestamp.nanos for _, s in messages(target)["/fix"]]
+    assert reported == [round(float(time_s) * 1e9) for time_s in captures]
 
 
 def test_the_same_run_gives_the_same_bytes(swum: RunLog, tmp_path: Path) -> None:

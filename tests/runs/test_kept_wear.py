@@ -125,9 +125,9 @@ def test_a_run_after_a_reset_goes_on_from_what_was_learned(
     asked = ["replay", str(tmp_path / "second.h5"), "--robot", place, "--json"]
     again = CliRunner().invoke(app, asked)
     assert again.exit_code == 0, again.stderr
-    told = json.loads(again.stdout)
-    assert told["mismatches"] == 0 and told["decisions"] == len(recording.decisions)
-    assert not recording.rested and told["agreement_with_recorded"] == 1.0
+    output = json.loads(again.stdout)
+    assert output["mismatches"] == 0 and output["decisions"] == len(recording.decisions)
+    assert not recording.rested and output["agreement_with_recorded"] == 1.0
     known_fixes = fk.replay(tmp_path / "second.h5", plan="host").result
     assert known_fixes.agreement == 1.0 and log.decisions.cost is not None
     assert [one.cost for one in known_fixes.host] == log.decisions.cost.tolist()

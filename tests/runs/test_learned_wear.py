@@ -100,11 +100,14 @@ def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
     run = fk.run(
         table, "ellipse", robot="pool", plan="both", world=world, time_limit_s=LIMIT_S, learn=True, out=log
     )
-    told = run.as_json()
-    assert told["mismatches"] == told["decisions_unchecked"] == 0 < told["decisions_checked"]
-    assert told["lost"]["front_right"] > 0.4 and sum(told["lost"].values()) == told["lost"]["front_right"]
+    reported = run.as_json()
+    assert reported["mismatches"] == reported["decisions_unchecked"] == 0 < reported["decisions_checked"]
+    assert (
+        reported["lost"]["front_right"] > 0.4
+        and sum(reported["lost"].values()) == reported["lost"]["front_right"]
+    )
     lost = run.log.decisions.extra["lost"]
-    assert lost.shape == (told["decisions"], 8) and not lost[0].any() and lost[-1].any()
+    assert lost.shape == (reported["decisions"], 8) and not lost[0].any() and lost[-1].any()
     again = fk.replay(log, robot="pool", plan="both").as_json()
     assert again["mismatches"] == 0 and again["agreement_with_recorded"] == 1.0
 
@@ -151,9 +154,9 @@ def test_events_tell_when_a_limb_is_named_and_believed_again(table: Path) -> Non
     codes = np.zeros((len(plain.log.decisions), 8), dtype=np.int64)
     codes[: len(shares), 1] = np.round(np.array(shares) * LOST_MAX)
     decided = replace(plain.log.decisions, extra={"lost": codes})
-    told = limb_events(replace(plain.log, decisions=decided, made={LEARN: "front_right, front_left"}))
-    assert told is not None and {event["limb"] for event in told} == {"front_left"}
-    assert [(event["event"], round(event["share"], 1)) for event in told] == [
+    reported = limb_events(replace(plain.log, decisions=decided, made={LEARN: "front_right, front_left"}))
+    assert reported is not None and {event["limb"] for event in reported} == {"front_left"}
+    assert [(event["event"], round(event["share"], 1)) for event in reported] == [
         ("worn", 0.3),
         ("lost", 0.8),
         ("works", 0.4),

@@ -36,11 +36,11 @@ def test_the_fan_is_what_the_planner_predicts() -> None:
     rng = np.random.default_rng(3)
     for _ in range(20):
         state = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-3, 3), 0.02, 0.0, 0.1], dtype=np.float32)
-        told = plan(rig.tables(), shape("sine"), CONFIG, state)
+        planned = plan(rig.tables(), shape("sine"), CONFIG, state)
         fan = fan_of(rig.tables(), state, (0,) * 8)
         assert len(fan) == len(rig.tables().actions)
-        assert fan[told.action, :2] == pytest.approx(told.predicted[:2], abs=1e-5)
-        turned = np.angle(np.exp(1j * (fan[told.action, 2] - float(told.predicted[2]))))
+        assert fan[planned.action, :2] == pytest.approx(planned.predicted[:2], abs=1e-5)
+        turned = np.angle(np.exp(1j * (fan[planned.action, 2] - float(planned.predicted[2]))))
         assert abs(turned) < 1e-5
 
 
@@ -64,28 +64,28 @@ def test_the_newest_state_is_told() -> None:
     pool, view = recording.pool, LiveView(OUTLINE)
     assert json.loads(view.text) == {} and pool is not None
     view.show(replace(recording, options=replace(recording.options, config=CONFIG)))
-    told = json.loads(view.text)
-    assert len(told["path"]) == 100 and len(told["decisions"]) == len(recording.decisions)
-    assert len(told["branch"]) == 4 and len(told["fan"]) == 3 * len(rig.tables().actions)
-    assert told["track"][-1] == pytest.approx(pool.truth.pose_world[-1], abs=1e-4)
-    assert len(told["letters"]) == len(told["decisions"]) and set("".join(told["letters"])) <= set(
+    output = json.loads(view.text)
+    assert len(output["path"]) == 100 and len(output["decisions"]) == len(recording.decisions)
+    assert len(output["branch"]) == 4 and len(output["fan"]) == 3 * len(rig.tables().actions)
+    assert output["track"][-1] == pytest.approx(pool.truth.pose_world[-1], abs=1e-4)
+    assert len(output["letters"]) == len(output["decisions"]) and set("".join(output["letters"])) <= set(
         "ABCDEFGHI"
     )
-    assert told["camera"] is None
-    *corners, centre, foremost = told["robot"]
+    assert output["camera"] is None
+    *corners, centre, foremost = output["robot"]
     assert centre == pytest.approx(pool.truth.pose_world[-1][:2], abs=1e-4) and len(corners) == len(OUTLINE)
     ahead = np.array(foremost) - centre
     assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(pool.truth.pose_world[-1][2], abs=5e-3)
     apart = np.hypot(*(np.array(corners) - centre).T)
     assert apart == pytest.approx(np.hypot(*np.array(OUTLINE).T), abs=2e-4)
-    assert told["fix_age_s"] == pytest.approx(0.08, abs=0.05)
+    assert output["fix_age_s"] == pytest.approx(0.08, abs=0.05)
 
 
 def test_a_run_without_a_decision_is_drawn_too() -> None:
     view = LiveView(OUTLINE)
     view.show(rig.recording(shape("line"), RunOptions(CONFIG)))
-    told = json.loads(view.text)
-    assert (told["fixes"], told["decisions"], told["branch"], told["fix_age_s"]) == ([], [], [], None)
+    output = json.loads(view.text)
+    assert (output["fixes"], output["decisions"], output["branch"], output["fix_age_s"]) == ([], [], [], None)
 
 
 def fetched(address: str) -> str:
@@ -125,16 +125,16 @@ def test_the_command_draws_a_run(tmp_path: Path) -> None:
     seen: list[dict[str, Any]] = []
     while process.poll() is None:
         try:
-            told = json.loads(fetched(address + "state.json"))
+            output = json.loads(fetched(address + "state.json"))
         except OSError:
             break
-        if told:
-            seen.append(told)
+        if output:
+            seen.append(output)
         time.sleep(0.1)
     out, _ = process.communicate(timeout=300)
     assert process.returncode == 0 and json.loads(out)["decisions"] >= 2
     assert time.monotonic() - began > 3.0
-    counts = [len(told["decisions"]) for told in seen]
+    counts = [len(output["decisions"]) for output in seen]
     assert counts == sorted(counts) and counts[-1] >= 2 and len(set(counts)) >= 2
     assert seen[-1]["branch"] and len(seen[-1]["track"]) > 10
 
@@ -142,7 +142,7 @@ def test_the_command_draws_a_run(tmp_path: Path) -> None:
 @from_ci
 def test_the_page_s_button_stops_a_run_and_no_other_page_does(capsys: pytest.CaptureFixture[str]) -> None:
     answers: list[int] = []
-    told: list[int] = []
+    reported: list[int] = []
     address = ""
 
     def press(headers: dict[str, str]) -> None:
@@ -156,10 +156,10 @@ def test_the_page_s_button_stops_a_run_and_no_other_page_does(capsys: pytest.Cap
             answers.append(error.code)
 
     def progress(done: int, _whole: int) -> None:
-        told.append(done)
-        if len(told) == 3:
+        reported.append(done)
+        if len(reported) == 3:
             press({})
-        if len(told) == 4:
+        if len(reported) == 4:
             press({ASKS: "stop"})
 
     began_s = time.monotonic()
@@ -194,10 +194,10 @@ def test_a_log_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     counts = [len(state["decisions"]) for state in seen]
     assert counts == sorted(counts) and counts[0] == 0 and counts[-1] == len(log.decisions)
     assert seen[-1]["letters"] == [log.action_names[index] for index in log.decisions.action]
-    told = log.decisions
-    assert told.estimate is not None and told.predicted is not None and log.truth is not None
+    reported = log.decisions
+    assert reported.estimate is not None and reported.predicted is not None and log.truth is not None
     assert seen[-1]["branch"] == [
-        pytest.approx(rows[-1, :3].tolist(), abs=1e-4) for rows in (told.estimate, told.predicted)
+        pytest.approx(rows[-1, :3].tolist(), abs=1e-4) for rows in (reported.estimate, reported.predicted)
     ]
     assert seen[-1]["track"][-1] == pytest.approx(log.truth.pose_world[-1].tolist(), abs=1e-4)
     assert len(seen[-1]["robot"]) == len(rig.robot().frame.corners_m) + 2
@@ -209,8 +209,12 @@ def test_a_recorded_run_is_played_by_its_fixes(frog2022_dir: Path) -> None:
     log = fk.load_run(frog2022_dir / "control" / "line1.csv").log
     view = LiveView([])
     view.show_log(log, float(log.decisions.time_s[3]))
-    told = json.loads(view.text)
-    assert len(told["decisions"]) == len(told["letters"]) == 4 and not told["branch"] and not told["ended"]
+    output = json.loads(view.text)
+    assert (
+        len(output["decisions"]) == len(output["letters"]) == 4
+        and not output["branch"]
+        and not output["ended"]
+    )
     view.show_log(log, 1e6)
     assert len(json.loads(view.text)["decisions"]) == len(log.decisions)
 
@@ -223,7 +227,7 @@ def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixtur
         address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
         keep(real)
         deadline_s = time.monotonic() + 120.0
-        while not (told := json.loads(fetched(address + "state.json"))).get("decisions"):
+        while not (output := json.loads(fetched(address + "state.json"))).get("decisions"):
             assert time.monotonic() < deadline_s, "nobody draws"
             time.sleep(0.02)
-    assert len(told["decisions"]) == sum(one.status == 0 for one in recording.decisions)
+    assert len(output["decisions"]) == sum(one.status == 0 for one in recording.decisions)

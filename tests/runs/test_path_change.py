@@ -104,10 +104,10 @@ def test_a_run_is_measured_by_the_path_that_it_followed(swum: tuple[Recording, R
     before, between = time_s < times[0], (time_s >= times[0]) & (time_s < times[1])
     assert np.array_equal(found[before], log.path.distance_m(poses[before, :2]))  # type: ignore[union-attr]
     assert np.array_equal(found[between], BESIDE.distance_m(poses[between, :2]))
-    told = summary(log)
-    assert (told.path, told.then) == ("line", ("beside", "line"))
-    assert told.mean_distance_m == pytest.approx(log.measured["mean_distance_m"], rel=0.05)
-    assert told.progress_mps is not None and told.progress_mps > 0.02
+    reported = summary(log)
+    assert (reported.path, reported.then) == ("line", ("beside", "line"))
+    assert reported.mean_distance_m == pytest.approx(log.measured["mean_distance_m"], rel=0.05)
+    assert reported.progress_mps is not None and reported.progress_mps > 0.02
     tracked = replace(recording, pool=None).tracking()
     assert tracked.mean_distance_m == pytest.approx(log.measured["mean_distance_m"], abs=1e-3)
     assert bends_of(log, 0.03) is None

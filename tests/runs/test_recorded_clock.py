@@ -32,9 +32,9 @@ def test_half_and_twice_the_period_are_told_apart_by_the_motion() -> None:
     action = np.where(time < 1.0, REST, np.array([0, 0, 1, 1, 2, 2])[((time - 1.0) // 1.1).astype(int) % 6])
     speed = 0.02 + 0.02 * np.sin(2.0 * np.pi * (time - 1.3) / 1.1) * (time > 1.0)
     trusted = np.ones(len(time), dtype=bool)
-    told = estimate_clock(time, action, trusted, REST, (0.5, 2.5), (time, speed))
-    assert told is not None and not told.problem
-    assert told.period_s == pytest.approx(1.1, abs=0.003) and told.motion_power > 50.0
+    reported = estimate_clock(time, action, trusted, REST, (0.5, 2.5), (time, speed))
+    assert reported is not None and not reported.problem
+    assert reported.period_s == pytest.approx(1.1, abs=0.003) and reported.motion_power > 50.0
     blind = estimate_clock(time, action, trusted, REST, (0.5, 2.5))
     assert blind is not None
     assert blind.period_s == pytest.approx(2.2, abs=0.01), "the longest that fits, where nothing else is seen"
@@ -120,8 +120,8 @@ def test_a_slip_is_found_or_the_run_refused(
     assert run.period_s == pytest.approx(period_s, rel=4e-3)
     assert run.measured["clock_slips"] == 1
     (note,) = [part for part in run.notes.split("; ") if "slips by" in part]
-    told = float(note.split("slips by ")[1].split(" s")[0])
-    assert abs((told - slip_s + 0.5 * period_s) % period_s - 0.5 * period_s) < 0.11
+    reported = float(note.split("slips by ")[1].split(" s")[0])
+    assert abs((reported - slip_s + 0.5 * period_s) % period_s - 0.5 * period_s) < 0.11
     # Decisions go on by the clock at either side; the period that was cut short is not judged.
     spacing = np.diff(run.decisions.time_s)
     odd = np.flatnonzero(np.abs(spacing - run.period_s) > 1e-6)
@@ -164,7 +164,7 @@ def test_a_run_without_a_clock_changes_nothing_among_good_ones(
         frog2022_dir / "control" / "ellipse5.csv",
         without_a_clock(frog2022_dir / "control" / "sin3.csv", tmp_path),
     )
-    told = []
+    reported = []
     for number, train in enumerate(([*good], [good[0], bad, good[1]])):
         out = tmp_path / f"robot{number}.toml"
         asked = [
@@ -175,11 +175,11 @@ def test_a_run_without_a_clock_changes_nothing_among_good_ones(
             f"--robot={robot_option(tmp_path)}",
             "--json",
         ]
-        told.append(CliRunner().invoke(app, asked))
-        assert told[-1].exit_code == 0, told[-1].output
-    plain, mixed = (json.loads(each.stdout) for each in told)
+        reported.append(CliRunner().invoke(app, asked))
+        assert reported[-1].exit_code == 0, reported[-1].output
+    plain, mixed = (json.loads(each.stdout) for each in reported)
     assert [row["run"] for row in mixed["left_out"]] == [bad.name] and plain["left_out"] == []
-    assert f"{bad.name}' is LEFT OUT: " in told[1].stderr and "LEFT OUT" not in told[0].stderr
+    assert f"{bad.name}' is LEFT OUT: " in reported[1].stderr and "LEFT OUT" not in reported[0].stderr
     assert plain["test"]["before"]["position_rmse_m"] > 0.0
     assert {**mixed, "left_out": [], "out": ""} == {**plain, "out": ""}
     texts = [(tmp_path / f"robot{number}.toml").read_text() for number in range(2)]
@@ -198,18 +198,18 @@ def test_a_run_without_a_clock_is_not_used_in_silence(
     kept, left_out = reliable([good, read_segments(file)])
     assert kept == [good] and left_out == [{"run": "sin3.csv", "reason": clock_problem(run)}]
     out = tmp_path / "out"
-    told = CliRunner().invoke(app, ["import", str(tmp_path), "--out", str(out), "--json"])
-    assert told.exit_code == 0 and "stroke clock not usable" in told.stderr
-    (row,) = json.loads(told.stdout)["runs"]
+    output = CliRunner().invoke(app, ["import", str(tmp_path), "--out", str(out), "--json"])
+    assert output.exit_code == 0 and "stroke clock not usable" in output.stderr
+    (row,) = json.loads(output.stdout)["runs"]
     assert row["clock_unusable"] == 1.0 and row["clock_notes"]
     assert clock_problem(load_run(out / "sin3.h5")) == clock_problem(run), "kept in the log"
     for asked in (
         ["identify", "--train", str(file), "--test", str(source), "--out", str(tmp_path / "robot.toml")],
         ["replay", str(out / "sin3.h5")],
     ):
-        told = CliRunner().invoke(app, asked)
-        assert isinstance(told.exception, InputError), told.stdout
-        assert clock_problem(run) in str(told.exception) and "\n" not in str(told.exception)
+        output = CliRunner().invoke(app, asked)
+        assert isinstance(output.exception, InputError), output.stdout
+        assert clock_problem(run) in str(output.exception) and "\n" not in str(output.exception)
     shown = CliRunner().invoke(app, ["log", "show", str(source), "--json"])
     values = json.loads(shown.stdout)
     assert values["period_s"] == pytest.approx(1.426, abs=2e-3) and values["clock"]["clock_resultant"] > 0.98

@@ -42,9 +42,9 @@ class Watched:
         self.time_s = until_s
 
     def frames(self) -> list[tuple[float, Frame]]:
-        told = self.robot.frames()
-        self.words += [frame for _, frame in told]
-        return told
+        frames = self.robot.frames()
+        self.words += [frame for _, frame in frames]
+        return frames
 
     def edges(self) -> list[Edge]:
         seen = self.robot.edges()

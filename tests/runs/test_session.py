@@ -62,8 +62,8 @@ def test_a_refusal_names_command_and_reason() -> None:
 def test_greet_refuses_another_table_and_another_robot() -> None:
     session = Session(rig.port("pool"))
     ours = rig.tables()
-    told = session.handshake(ours)
-    assert told["table_crc"] == ours.crc32
+    reported = session.handshake(ours)
+    assert reported["table_crc"] == ours.crc32
     with pytest.raises(LinkError, match="or build the firmware with it"):
         session.handshake(open_image(rig.changed_image(32, b"another library")))
     with pytest.raises(TableError, match="newt"):

@@ -52,15 +52,15 @@ class PatientSession(Session):
         for values, rows in many:
             sequence = self.post(name, values, rows)
             sent[sequence] = self.port.last
-        told: dict[int, dict[str, Value]] = {}
+        reported: dict[int, dict[str, Value]] = {}
         deadline_s, again_s = self.time_s + timeout_s, self.time_s + _AGAIN_S
         while self.time_s < deadline_s:
             self.step(self.time_s + STEP_S)
-            if self._answered(name, list(sent), told):
-                return [told[sequence] for sequence in sent]
+            if self._answered(name, list(sent), reported):
+                return [reported[sequence] for sequence in sent]
             if self.time_s >= again_s:
                 again_s += _AGAIN_S
-                for encoded in (sent[sequence] for sequence in sent if sequence not in told):
+                for encoded in (sent[sequence] for sequence in sent if sequence not in reported):
                     self.port.send(encoded, self.time_s)
         raise LinkError(f"no answer to {name} within {timeout_s:g} s")
 
@@ -308,8 +308,8 @@ class Life:
         self.watch.still_disturbed(self._way, self.time_s)
 
     def _is_here(self, crc: int) -> bool:
-        told = self.session.request("TABLE_STATUS")
-        return crc in (told["previous_crc"], told["built_in_crc"])
+        answer = self.session.request("TABLE_STATUS")
+        return crc in (answer["previous_crc"], answer["built_in_crc"])
 
     def _progress(self, done: int, length: int) -> None:
         """In the middle of an update that is to be cut the power fails, or the firmware hangs."""

@@ -51,8 +51,8 @@ def test_a_table_by_radio_outlives_power_and_watchdog(robot: NativeRobot) -> Non
     robot.hang()
     session = rested(robot, 3)
     session.handshake(new)
-    told = session.request("TABLE_STATUS")
-    assert (told["running"], told["slots"], told["erases_1"], told["erases_journal"]) == (1, 2, 1, 1)
+    answer = session.request("TABLE_STATUS")
+    assert (answer["running"], answer["slots"], answer["erases_1"], answer["erases_journal"]) == (1, 2, 1, 1)
     session.request("TABLE_ROLLBACK", {"table_crc": old.crc32})
     session.handshake(old)
 
@@ -106,9 +106,9 @@ def test_a_power_cut_ends_pulses_at_once_and_a_hang_leaves_them_to_their_timer(r
         pulses = [p for p in pulses_of(session.edges, session.time_s) if p.start_s >= begun_s]
         end_s = now_s if kind == "power" else begun_s + 1e-6 * rig.tables()[0].pulse_us
         assert [pulse.end_s for pulse in pulses] == pytest.approx([end_s] * len(pulses)) and pulses
-        told = session.request("STATUS")
-        assert told["reset"] == RESET["POWER" if kind == "power" else "WATCHDOG"]
-        assert (told["state"], told["pulses"]) == (STATE["DISARMED"], 0)
+        status = session.request("STATUS")
+        assert status["reset"] == RESET["POWER" if kind == "power" else "WATCHDOG"]
+        assert (status["state"], status["pulses"]) == (STATE["DISARMED"], 0)
 
 
 def test_nobody_answers_until_it_has_started_again(robot: NativeRobot) -> None:
@@ -119,8 +119,8 @@ def test_nobody_answers_until_it_has_started_again(robot: NativeRobot) -> None:
         session.ask("STATUS", timeout_s=WATCHDOG_S - 0.01)
     session.step(robot.up_s)
     assert begin_s + WATCHDOG_S < robot.up_s < begin_s + WATCHDOG_S + 0.1
-    told = session.request("STATUS")
-    assert 0 < int(told["now_us"]) < 50_000, "its clock began anew"
+    status = session.request("STATUS")
+    assert 0 < int(status["now_us"]) < 50_000, "its clock began anew"
 
 
 @pytest.mark.parametrize("heard", range(1, 6))

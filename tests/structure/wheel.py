@@ -107,11 +107,11 @@ class Environment:
         """Run commands one after another, in one process that has the package from the wheel."""
         done = self._run([str(self._python), "-c", _COMMANDS, json.dumps(lines)])
         assert done.returncode == 0, done.stderr
-        told: Mapping[str, Any] = json.loads(done.stdout.splitlines()[-1])
-        for file in told["files"]:
+        output: Mapping[str, Any] = json.loads(done.stdout.splitlines()[-1])
+        for file in output["files"]:
             inside = Path(file).resolve().is_relative_to(self.root.resolve() / "venv")
             assert inside, f"{file} is not the wheel's"
-        return [Said(*row) for row in told["rows"]]
+        return [Said(*row) for row in output["rows"]]
 
     def script(self, *arguments: str | Path) -> Said:
         """Run Python with the arguments, a file or -c and text."""

@@ -79,13 +79,13 @@ def test_the_rods_tell_to_the_last_bit_what_sequences_lead_to() -> None:
 
     swim([2, 0])  # its strokes go on in what is asked
     nodes = batch.nodes_world()
-    told = ask_rods(robot, batch, acting, depth)
-    assert told.shape == (lanes, 1 + 3, 3, 3)
+    reported = ask_rods(robot, batch, acting, depth)
+    assert reported.shape == (lanes, 1 + 3, 3, 3)
     assert np.array_equal(batch.nodes_world(), nodes)
     first, second = [1, 2], [2, 0]
     for made, expected in (
-        (swim(first), [told[lane, 0, first[lane]] for lane in range(lanes)]),
-        (swim(second), [told[lane, 1 + first[lane], second[lane]] for lane in range(lanes)]),
+        (swim(first), [reported[lane, 0, first[lane]] for lane in range(lanes)]),
+        (swim(second), [reported[lane, 1 + first[lane], second[lane]] for lane in range(lanes)]),
     ):
         assert np.abs(made).max() > 1e-3
         assert made == pytest.approx(np.array(expected), abs=1e-14)
@@ -142,10 +142,10 @@ def test_nothing_is_more_exact_than_the_rods_and_a_bad_table_is_off(whole_runs: 
         assert np.abs(run.planned[:, :2]).max() < count(20, 20, 30) * 1e-6
         assert np.abs(run.planned[:, 2]).max() < 30e-6
     for name, least in (("position_m", 1e-3), ("heading_rad", 0.02)):
-        told = {source: rms_error(of[source], "told")[name] for source in SOURCES}
+        reported = {source: rms_error(of[source], "told")[name] for source in SOURCES}
         planned = {source: rms_error(of[source], "planned")[name] for source in SOURCES}
-        assert told[NEAREST] > least
-        assert told[NEAREST] > 4.0 * told[AFFINE] > 0.0
+        assert reported[NEAREST] > least
+        assert reported[NEAREST] > 4.0 * reported[AFFINE] > 0.0
         assert planned[NEAREST] > 2.0 * planned[AFFINE] > 10.0 * planned[RODS]
     distance = {source: over_seeds(of[source], "mean_distance_m").value for source in SOURCES}
     assert distance[NEAREST] > 5.0 * distance[RODS]
@@ -155,13 +155,13 @@ def test_nothing_is_more_exact_than_the_rods_and_a_bad_table_is_off(whole_runs: 
 
 @from_ci
 def test_a_seed_has_its_run_whatever_else_runs(images: dict[str, bytes]) -> None:
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     three = follow_paths(
-        ROBOT, images, ["ellipse"], [1], 3, THREE_DECISIONS_S, 1, lambda *done: told.append(done)
+        ROBOT, images, ["ellipse"], [1], 3, THREE_DECISIONS_S, 1, lambda *done: reported.append(done)
     )
     one = follow_paths(ROBOT, images, ["ellipse"], [1], 1, THREE_DECISIONS_S)
-    assert told[0] == (0, 9)
-    assert told[-1] == (9, 9)
+    assert reported[0] == (0, 9)
+    assert reported[-1] == (9, 9)
     assert [(run.source, run.seed) for run in three] == [(s, seed) for s in SOURCES for seed in range(3)]
     for alone, beside in zip(one, [run for run in three if run.seed == 0], strict=True):
         assert alone.ended == beside.ended == TIME
@@ -227,15 +227,15 @@ def test_the_command_tells_draws_and_refuses(
     short = ("--seeds", "2", "--depth", "1", "--simulated-time", str(SETTLE_S + 0.5), "--workers", "1")
     command = ["study", "ceiling", str(file), *short]
     assert run_command([*command, "--tables", str(table), "--out", str(picture), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    output = json.loads(capsys.readouterr().out)
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert [(row["path"], row["source"]) for row in told["rows"]] == [
+    assert [(row["path"], row["source"]) for row in output["rows"]] == [
         (path, source) for path in ("line", "sine", "ellipse", "all") for source in SOURCES
     ]
-    assert all(row["decisions"] == 2 * (3 if row["path"] == "all" else 1) for row in told["rows"])
-    assert told["one_stroke_ahead"][RODS]["told"] == {"position_m": 0.0, "heading_rad": 0.0}
-    assert [row["source"] for row in told["further_than_rods_m"]] == [NEAREST, AFFINE]
-    assert told["table_bytes"][AFFINE] == len(images[AFFINE])
+    assert all(row["decisions"] == 2 * (3 if row["path"] == "all" else 1) for row in output["rows"])
+    assert output["one_stroke_ahead"][RODS]["told"] == {"position_m": 0.0, "heading_rad": 0.0}
+    assert [row["source"] for row in output["further_than_rods_m"]] == [NEAREST, AFFINE]
+    assert output["table_bytes"][AFFINE] == len(images[AFFINE])
     assert run_command(command) == 0
     assert "further from the paths than the rods" in capsys.readouterr().out
     strangers = []

@@ -135,10 +135,10 @@ def test_the_model_knows_what_a_block_takes(small: Built) -> None:
     _, cycles = planner.plan(timed.states, np.full(300, depth), timed.limb_use, timed.along_points)
     costs = fit_cycles(tables.image, CONFIG, [(path, timed.part(0, 200), cycles[:200])], depth)
     settings = dataclasses.replace(CONFIG, depth=depth)
-    told = cycles_of(costs, tables.image, path, settings, timed.part(200, 100))
-    np.testing.assert_allclose(told, cycles[200:], rtol=0.03)  # as the study says of its bound
+    reported = cycles_of(costs, tables.image, path, settings, timed.part(200, 100))
+    np.testing.assert_allclose(reported, cycles[200:], rtol=0.03)  # as the study says of its bound
     spread = cycles[200:].std() / cycles[200:].mean()
-    assert (told / cycles[200:] - 1.0).std() < spread / 5
+    assert (reported / cycles[200:] - 1.0).std() < spread / 5
 
 
 def test_the_dearest_are_of_every_reach() -> None:
@@ -191,9 +191,9 @@ def test_the_command_tells_it_and_fails_over_a_limit(
 ) -> None:
     arguments = ["study", "chip", "--tables", str(rig.small_table()), "--states", "12", "--json"]
     assert run_command(arguments) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told["plan_ms"]) == {"1", "2", "3", "4"}
-    assert told["limit_ms"] == {"1": 0.45, "2": 4.5, "3": 20.0}
-    assert told["cycle_model"] == dataclasses.asdict(CostModel())
+    output = json.loads(capsys.readouterr().out)
+    assert set(output["plan_ms"]) == {"1", "2", "3", "4"}
+    assert output["limit_ms"] == {"1": 0.45, "2": 4.5, "3": 20.0}
+    assert output["cycle_model"] == dataclasses.asdict(CostModel())
     monkeypatch.setitem(LIMIT_MS, 1, 0.001)
     assert run_command(arguments) == 1

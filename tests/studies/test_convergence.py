@@ -27,11 +27,11 @@ def test_second_order_and_the_limit_at_the_default_step(
     picture = tmp_path_factory.mktemp("convergence") / "order.png"
     asked = ["study", "convergence", "--json", "--out", str(picture), "--every", str(count(9, 1, 50))]
     assert run_command(asked) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert 1.7 < told["order"]["strokes"] < 2.3
+    output = json.loads(capsys.readouterr().out)
+    assert 1.7 < output["order"]["strokes"] < 2.3
     # Below 0.1 % what is left is the phase of the frame's 40 Hz swing, of second order only from 0.4 ms on.
-    assert 1.3 < told["order"]["gaits"] < 2.3
+    assert 1.3 < output["order"]["gaits"] < 2.3
     for kind in ("strokes", "gaits"):
-        assert told["error_at_default"][kind] < 0.5 * ERROR_LIMIT
-        assert told["worst"][kind][str(STEP_S)] < ERROR_LIMIT
+        assert output["error_at_default"][kind] < 0.5 * ERROR_LIMIT
+        assert output["worst"][kind][str(STEP_S)] < ERROR_LIMIT
     assert picture.read_bytes().startswith(b"\x89PNG")

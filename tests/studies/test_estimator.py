@@ -144,13 +144,13 @@ def test_the_picture_shows_every_method(outcomes: Outcomes) -> None:
     assert figure.axes[4].get_ylim()[0] == 0.0, "a distance is drawn from nothing on"
     position = figure.axes[0]
     drawn = sorted(float(line.get_ydata()[0]) for line in position.lines)
-    told = [
+    reported = [
         1e3 * methods[name].position_m
         for condition, methods in outcomes.items()
         for name in METHODS
         if condition.fault in ("none", "all")
     ]
-    assert drawn == pytest.approx(sorted(told))
+    assert drawn == pytest.approx(sorted(reported))
     assert "(mm)" in position.get_ylabel() and position.get_xlabel() == "fixes per second"
 
 
@@ -162,11 +162,11 @@ def test_the_command_says_it_all(
     words = ["study", "estimator", "--tables", str(rig.small_table()), "--seeds", "1", "--rate", "10"]
     words += ["--simulated-time", "6", "--path", "line"]
     assert run_command([*words, "--out", str(tmp_path / "x.png"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [(row["fault"], row["method"]) for row in told["outcomes"][:4]] == [
+    output = json.loads(capsys.readouterr().out)
+    assert [(row["fault"], row["method"]) for row in output["outcomes"][:4]] == [
         ("none", "difference"), ("none", "line"), ("none", "track"), ("all", "difference")
     ]  # fmt: skip
-    assert all(row["rate_hz"] == 10.0 and set(row["distance_m"]) == {"line"} for row in told["outcomes"])
+    assert all(row["rate_hz"] == 10.0 and set(row["distance_m"]) == {"line"} for row in output["outcomes"])
     with Image.open(tmp_path / "x.png") as picture:
         assert picture.width > 1000
     assert run_command(words) == 0

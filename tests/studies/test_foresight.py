@@ -79,9 +79,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     arguments = ["study", "foresight", "--path", "line", "--tables", str(rig.small_table())]
     options = ["--breadth", "20", "--at-least", "0.02", "--out", str(picture), "--json"]
     assert run_command([*arguments, *options]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["nearest_m"] < 0.002
-    assert min(plan["mean_distance_m"] for plan in told["plans"]) <= told["nearest_m"]
+    output = json.loads(capsys.readouterr().out)
+    assert output["nearest_m"] < 0.002
+    assert min(plan["mean_distance_m"] for plan in output["plans"]) <= output["nearest_m"]
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert run_command([*arguments, "--at-least", "-1"]) == 2
     assert "--at-least -1.0 m/s" in capsys.readouterr().err

@@ -44,9 +44,9 @@ def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_pat
     toml = tmp_path / "robot.toml"
     toml.write_text(robot().toml, encoding="utf-8")
     asked = ["study", "heldout", *map(str, runs), "--robot", str(toml), "--out", str(out), "--workers", "1"]
-    told = CliRunner().invoke(app, [*asked, "--json"])
-    assert told.exit_code == 0, told.stderr
-    values = json.loads(told.stdout)
+    output = CliRunner().invoke(app, [*asked, "--json"])
+    assert output.exit_code == 0, output.stderr
+    values = json.loads(output.stdout)
     assert out.read_bytes().startswith(b"\x89PNG")
     assert [row["run"] for row in values["runs"]] == [str(run) for run in runs]
     assert values["periods"] == sum(row["periods"] for row in values["runs"]) > sum(PERIODS) - 6

@@ -251,8 +251,8 @@ def test_the_picture_shows_every_run() -> None:
         points = [
             y for line in axes.lines if line.get_marker() == "." for y in np.atleast_1d(line.get_ydata())
         ]
-        told = [scale * getattr(o, name) for case, o in outcomes.items() if case.world == "worn"]
-        assert sorted(points) == pytest.approx(sorted(told))
+        reported = [scale * getattr(o, name) for case, o in outcomes.items() if case.world == "worn"]
+        assert sorted(points) == pytest.approx(sorted(reported))
         low, high = axes.get_ylim()
         assert all(low < y < high for y in points), "none is cut off"
     dashed = [line.get_ydata() for line in figure.axes[0].lines if line.get_linestyle() == "--"]
@@ -295,10 +295,10 @@ def test_the_exit_code_is_the_verdict(
     monkeypatch.setattr(loop_module, "run_cases", lambda *_: made)
     words = words_of(tmp_path, library)
     assert run_command([*words, "--json"]) == code
-    told = json.loads(capsys.readouterr().out)
-    assert list(told["over_paths"]) == ["nominal", "hidden"]
-    assert all(verdict["passed"] is (code == 0) for verdict in told["over_paths"].values())
-    assert told["rows"] == [dataclasses.asdict(row) for row in summaries(made)]
+    output = json.loads(capsys.readouterr().out)
+    assert list(output["over_paths"]) == ["nominal", "hidden"]
+    assert all(verdict["passed"] is (code == 0) for verdict in output["over_paths"].values())
+    assert output["rows"] == [dataclasses.asdict(row) for row in summaries(made)]
     assert run_command(words) == code
     text = capsys.readouterr().out
     assert "nominal, over all paths:" in text and "hidden, over all paths:" in text
@@ -314,14 +314,14 @@ def test_the_command_runs_a_world_and_says_its_name(
     file.write_text(WORN, encoding="utf-8")
     words = [*words_of(tmp_path, library), "--world", str(file), "--learn"]
     code = run_command([*words, "--json"])
-    told = json.loads(capsys.readouterr().out)
-    assert {(row["world"], row["path"]) for row in told["rows"]} == {("worn", "line")}
-    assert [row["planner"] for row in told["rows"]] == [*NAMES, "robot, learning"]
-    *_, plain, learned = told["rows"]
+    output = json.loads(capsys.readouterr().out)
+    assert {(row["world"], row["path"]) for row in output["rows"]} == {("worn", "line")}
+    assert [row["planner"] for row in output["rows"]] == [*NAMES, "robot, learning"]
+    *_, plain, learned = output["rows"]
     assert learned["mean_distance_m"] != plain["mean_distance_m"], "it plans for a worn limb"
-    verdict = told["over_paths"]["worn"]
+    verdict = output["over_paths"]["worn"]
     assert (code, verdict["passed"]) == ((1, False) if verdict["missed"] else (0, True))
-    assert told["table_bytes"]["robot"] == rig.small_table().stat().st_size
+    assert output["table_bytes"]["robot"] == rig.small_table().stat().st_size
     with Image.open(tmp_path / "out" / "loop.png") as picture:
         assert picture.width > 700
     assert run_command([*words, "--path", "lin"]) == 2

@@ -68,9 +68,9 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_planted_effect_is_found_and_predicts_other_fractions(few: None, tmp_path: Path, seed: int) -> None:
     folder, out = write_data(tmp_path / "data", [PLANTED], seed), tmp_path / "out"
     asked = ["study", "openloop", str(folder), "--train-egain", "30", "--out", str(out), "--workers", "1"]
-    told = CliRunner().invoke(app, [*asked, "--robot", robot_file(tmp_path), "--json"])
-    assert told.exit_code == 0, told.output
-    result = json.loads(told.stdout)
+    output = CliRunner().invoke(app, [*asked, "--robot", robot_file(tmp_path), "--json"])
+    assert output.exit_code == 0, output.output
+    result = json.loads(output.stdout)
     (split,) = result["splits"]
     (found,) = split["parameters"]
     assert found["name"] == "hull.limb_drag"
@@ -122,9 +122,9 @@ def test_one_folder_is_fitted_to_and_another_predicted(few: None, tmp_path: Path
         place = f"phase/{gait.egain_percent:g}_{gait.frequency_hz:g}Hz/{10 * gait.phase:02.0f}.mat"
         write_swim(test / "exp" / place, speed, gait.frequency_hz, 3.0)
     asked = ["study", "openloop", "--train", str(train), "--test", str(test), "--workers", "1", "--json"]
-    told = CliRunner().invoke(app, [*asked, "--robot", robot_file(tmp_path)])
-    assert told.exit_code == 0, told.output
-    (split,) = json.loads(told.stdout)["splits"]
+    output = CliRunner().invoke(app, [*asked, "--robot", robot_file(tmp_path)])
+    assert output.exit_code == 0, output.output
+    (split,) = json.loads(output.stdout)["splits"]
     assert split["kind"] == "folder" and split["test"]["swims"] == len(TEST)
     assert split["train"]["swims"] == len(TRAIN) + len(TEST)
     assert {"egain", "frequency"} == set(split["tried"][0]["mse_gain_m2_per_s2"])

@@ -101,11 +101,11 @@ def test_the_command_draws_and_tells(
     picture = tmp_path / "sizes.png"
     options = ("--test-states", "4", "--swims", "visited", "--out", str(picture), "--json")
     assert run_command(["study", "tables", str(tmp_path / "lib.h5"), *options]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [point["kind"] for point in told["by_size"]] == ["nearest", "nearest", "affine", "affine"]
-    assert all(point["box"]["position_m"] > 0.0 for point in told["by_size"] + told["by_library"])
-    last, full = told["by_size"][-1]["visited"], told["by_size"][1]["visited"]
-    ratio = told["affine_64_kib_over_full_nearest"]["visited"]
+    output = json.loads(capsys.readouterr().out)
+    assert [point["kind"] for point in output["by_size"]] == ["nearest", "nearest", "affine", "affine"]
+    assert all(point["box"]["position_m"] > 0.0 for point in output["by_size"] + output["by_library"])
+    last, full = output["by_size"][-1]["visited"], output["by_size"][1]["visited"]
+    ratio = output["affine_64_kib_over_full_nearest"]["visited"]
     assert ratio["heading_rad"] == pytest.approx(last["heading_rad"] / full["heading_rad"])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert run_command(["study", "tables", str(tmp_path / "none.h5")]) == 2

@@ -228,16 +228,18 @@ def test_the_command_swims_shapes_in_the_twins_pool(
 ) -> None:
     words = words_of(tmp_path, libraries)
     code = run_command([*words, "--json"])
-    told = json.loads(capsys.readouterr().out)
-    assert [row["planner"] for row in told["rows"]] == [
+    output = json.loads(capsys.readouterr().out)
+    assert [row["planner"] for row in output["rows"]] == [
         "paper",
         "robot, full table",
         "robot",
     ]
-    assert {(row["world"], row["path"]) for row in told["rows"]} == {(TWIN, "line")}
-    assert code == (0 if told["passed"] else 1)
-    assert told["passed"] is (told["mean_distance_m"] <= told["limit_m"])
-    assert told["recorded"] == {} and told["believed"] is None and told["recorded_mean_distance_m"] is None
+    assert {(row["world"], row["path"]) for row in output["rows"]} == {(TWIN, "line")}
+    assert code == (0 if output["passed"] else 1)
+    assert output["passed"] is (output["mean_distance_m"] <= output["limit_m"])
+    assert (
+        output["recorded"] == {} and output["believed"] is None and output["recorded_mean_distance_m"] is None
+    )
     with Image.open(tmp_path / "out" / "twin.png") as picture:
         assert picture.width > 700
 
@@ -296,13 +298,13 @@ def test_the_exit_code_is_the_verdict(
     )
     words = [*words_of(tmp_path, libraries), "--runs", str(frog2022_dir / "control")]
     assert run_command([*words, "--json"]) == code
-    told = json.loads(capsys.readouterr().out)
-    assert told["passed"] is (code == 0)
-    assert told["recorded"]["line1"]["mean_distance_m"] == pytest.approx(0.0178, abs=1e-4)
-    means = [run["mean_distance_m"] for run in told["recorded"].values()]
-    assert told["recorded_mean_distance_m"] == pytest.approx(np.mean(means))
-    assert told["believed"]["motion"]["E"]["turn_rad"] == pytest.approx(1.2 * MOTION[4, 2])
-    assert [mean["planner"] for mean in told["over_paths"]["recorded_paths"]][1] == "paper, as it believed"
+    output = json.loads(capsys.readouterr().out)
+    assert output["passed"] is (code == 0)
+    assert output["recorded"]["line1"]["mean_distance_m"] == pytest.approx(0.0178, abs=1e-4)
+    means = [run["mean_distance_m"] for run in output["recorded"].values()]
+    assert output["recorded_mean_distance_m"] == pytest.approx(np.mean(means))
+    assert output["believed"]["motion"]["E"]["turn_rad"] == pytest.approx(1.2 * MOTION[4, 2])
+    assert [mean["planner"] for mean in output["over_paths"]["recorded_paths"]][1] == "paper, as it believed"
     assert open_image((tmp_path / "out" / "believed.fkt").read_bytes()).states.shape == (1, 3)
     assert run_command(words) == code
     text = capsys.readouterr().out

@@ -80,15 +80,17 @@ def test_found_means_the_right_effect_with_no_parameter_far_off() -> None:
     assert recovered(worn, right) and recovered(worn, beside)
     assert not any(recovered(worn, each) for each in (far, late, other))
     kind = kinds()["wear"]
-    told = [judged(kind, [worn], each, 1.0) for each in (right, beside, far, other)]
-    assert [result.right for result in told] == [True, True, False, False]
-    assert [(result.inside, result.parameters) for result in told] == [(1, 1), (0, 1), (0, 1), (0, 0)]
-    many = VerdictStudy({Case("wear", seed): result for seed, result in enumerate([told[0]] * 97 + told[1:])})
+    reported = [judged(kind, [worn], each, 1.0) for each in (right, beside, far, other)]
+    assert [result.right for result in reported] == [True, True, False, False]
+    assert [(result.inside, result.parameters) for result in reported] == [(1, 1), (0, 1), (0, 1), (0, 0)]
+    many = VerdictStudy(
+        {Case("wear", seed): result for seed, result in enumerate([reported[0]] * 97 + reported[1:])}
+    )
     assert many.groups["one"] == {
         "cases": 100, "right": 98, "wrongly_found": 2, "parameters": 99, "inside": 97, "passed": True,
     }  # fmt: skip
     many = VerdictStudy(
-        {Case("wear", seed): result for seed, result in enumerate([told[0]] * 97 + [told[3]] * 3)}
+        {Case("wear", seed): result for seed, result in enumerate([reported[0]] * 97 + [reported[3]] * 3)}
     )
     assert many.groups["one"]["right"] == 97 and not many.passed, "three of a hundred are wrong"
     assert judged(kind, [worn], other, 1.0).wrong
@@ -257,10 +259,10 @@ def test_laws_are_drawn_again_until_the_error_is_as_wanted(monkeypatch: pytest.M
         return paths
 
     def over_floor(*_: Any) -> float:
-        told = next(given)
-        if isinstance(told, InputError):
-            raise told
-        return told
+        reported = next(given)
+        if isinstance(reported, InputError):
+            raise reported
+        return reported
 
     monkeypatch.setattr(verdicts, "swims_of", swims_of)
 

@@ -48,12 +48,12 @@ def test_a_planted_wake_is_found_and_predicts_another_series(folder: Path) -> No
         app, [*given, "--egain", str(egain), "--frequency", str(hz), "--out", str(folder / "w.png"), "--json"]
     )
     assert run.exit_code == 0, run.output
-    told = json.loads(run.stdout)
-    assert [told["share"], told["memory_s"]] == pytest.approx(PLANTED, rel=0.15)
-    assert all(each["after_mps"] < 0.5 * each["before_mps"] for each in told["left_out"])
-    assert told["levels"]["count"] == 2 and (folder / "w.png").stat().st_size > 5000
+    output = json.loads(run.stdout)
+    assert [output["share"], output["memory_s"]] == pytest.approx(PLANTED, rel=0.15)
+    assert all(each["after_mps"] < 0.5 * each["before_mps"] for each in output["left_out"])
+    assert output["levels"]["count"] == 2 and (folder / "w.png").stat().st_size > 5000
     truth = speeds(egain, hz) * kept(PLANTED, PHASES, hz)
-    for row, true in zip(told["prediction"], truth, strict=True):
+    for row, true in zip(output["prediction"], truth, strict=True):
         assert row["low_mps"] < true < row["high_mps"] and row["speed_mps"] < row["rods_mps"]
         assert row["speed_mps"] == pytest.approx(true, abs=1.5e-3)
 

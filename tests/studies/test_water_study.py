@@ -80,10 +80,10 @@ def test_swims_of_a_plated_robot_in_other_drag_are_told(tmp_path: Path) -> None:
     given = ["study", "water", str(tmp_path), "--robot", robot_option(tmp_path), "--workers", "1", "--json"]
     done = CliRunner().invoke(app, [*given, "--out", str(tmp_path / "w.png")])
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    rows = {row["name"]: row for row in told["hypotheses"]}
-    assert {row["egain_percent"] for row in told["predictions"]} == {0.0, 20.0, 40.0, 50.0}
-    again = next(row for row in told["predictions"] if row["egain_percent"] == 20.0)
+    output = json.loads(done.stdout)
+    rows = {row["name"]: row for row in output["hypotheses"]}
+    assert {row["egain_percent"] for row in output["predictions"]} == {0.0, 20.0, 40.0, 50.0}
+    again = next(row for row in output["predictions"] if row["egain_percent"] == 20.0)
     gait = Gait(20.0, again["frequency_hz"], 0.5)
     (swim,) = swim_gaits(rods_of(plated), plated.profiles, [gait])
     assert isinstance(swim, GaitSwim)

@@ -129,10 +129,10 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command([*arguments, "--trials", str(POPULATION - 1)]) == 2
     assert f"{POPULATION}" in capsys.readouterr().err
     assert run_command([*arguments, *few, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told["weights"]) == set(TUNED)
-    assert told["before"].keys() == told["after"].keys() and "line" not in told["before"]
+    output = json.loads(capsys.readouterr().out)
+    assert set(output["weights"]) == set(TUNED)
+    assert output["before"].keys() == output["after"].keys() and "line" not in output["before"]
     assert run_command([*arguments, *few]) == 0
     text = capsys.readouterr().out
     lines = tomllib.loads(text[text.index("distance_weight_per_m") :])
-    assert lines == pytest.approx(told["weights"])
+    assert lines == pytest.approx(output["weights"])

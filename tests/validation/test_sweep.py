@@ -116,9 +116,9 @@ def test_a_stopped_sweep_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_sweep(plan, tmp_path / "cut", workers=1, progress=stop)
     assert list(chunks_of(tmp_path / "cut")) == ["50pct_2.1Hz.json"]
-    told: list[int] = []
-    again = run_sweep(plan, tmp_path / "cut", workers=1, progress=lambda done, _: told.append(done))
-    assert told == [8, 16, 24]  # the first chunk was not made again
+    reported: list[int] = []
+    again = run_sweep(plan, tmp_path / "cut", workers=1, progress=lambda done, _: reported.append(done))
+    assert reported == [8, 16, 24]  # the first chunk was not made again
     assert again.points == whole.points
     assert chunks_of(tmp_path / "cut") == chunks_of(tmp_path / "whole")
 

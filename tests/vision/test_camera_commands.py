@@ -89,9 +89,11 @@ def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture
     assert done.json["found"] == 2
     turned = [row.replace("10.0", "190.0").replace("-120.0", "60.0") for row in rows]
     (tmp_path / "turned.csv").write_text("\n".join(turned) + "\n")
-    told = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "turned.csv").stderr.splitlines()
-    assert "all headings are off by 180 degrees" in told[1], told
-    assert "(0.3, 0.2) m: " in told[2] and "(1, 0.7) m: " in told[2]
+    output = frogkick(
+        capsys, "camera", "check", file, "--places", tmp_path / "turned.csv"
+    ).stderr.splitlines()
+    assert "all headings are off by 180 degrees" in output[1], output
+    assert "(0.3, 0.2) m: " in output[2] and "(1, 0.7) m: " in output[2]
     (tmp_path / "1.png").write_bytes(b"none")
     wrong = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "places.csv")
     assert wrong.code == 2
@@ -284,8 +286,8 @@ def test_a_tag_is_tracked_without_a_robot(
         begun += int(apart.argmin()) + 1
         assert apart.min() < 2e-3 and 0.0 <= age_s < 5.0
     line = r"frogkick: (\d+) fixes from (\d+) pictures, [\d.]+ a second; pictures without a fix: "
-    told = re.match(line, done.stderr)
-    assert told is not None and int(told[1]) == len(lines) and int(told[2]) >= len(lines) + 1
+    output = re.match(line, done.stderr)
+    assert output is not None and int(output[1]) == len(lines) and int(output[2]) >= len(lines) + 1
     asked = frogkick(capsys, "camera", "track", file, "--source", pictures, "--json", "--seconds", "30")
     assert asked.code == 0 and asked.json["fixes"] == asked.json["reasons"]["found"] > 5
     assert asked.json["pictures"] == sum(asked.json["reasons"].values()) and asked.json["rate_hz"] > 0.5
@@ -300,8 +302,8 @@ def test_a_page_shows_what_the_camera_sees(
 
     def look(_fix: Fix) -> None:
         nonlocal address
-        told = re.search(r"what the camera sees is drawn at (\S+)", capsys.readouterr().err)
-        address = told[1] if told else address
+        output = re.search(r"what the camera sees is drawn at (\S+)", capsys.readouterr().err)
+        address = output[1] if output else address
         with urllib.request.urlopen(f"{address}state.json", timeout=60.0) as answer:
             seen.append(json.load(answer))
 
@@ -352,8 +354,8 @@ def test_a_printed_tag_is_to_scale_and_points_forward(
         (("--tag-size-mm", "900"), "give a size that makes it 1 to 250 mm"),
         (("--tag-family", "tag16h5"), "is not known"),
     ):
-        told = frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.pdf", *more)
-        assert told.code == 2 and says in told.stderr and not (tmp_path / "c.pdf").exists()
+        output = frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.pdf", *more)
+        assert output.code == 2 and says in output.stderr and not (tmp_path / "c.pdf").exists()
     assert frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.doc").code == 2
 
 

@@ -208,16 +208,16 @@ def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
     [
         (lambda _: fk.sweep(egain_percent=10), "sweep: egain_percent is 10, give Sequence[float] | None"),
         (lambda _: fk.scan("x"), "scan: seconds is 'x', give float"),
-        (lambda library: library.part([0]), "Library.part: states is [0], give Int64"),
+        (lambda of: of["Library"].part([0]), "Library.part: states is [0], give Int64"),
         (lambda _: fk.Path(5), "Path: missing a required argument: 'y_m'"),
         (
             lambda _: fk.paths.line(points=None, lenght_m=1),
             "line: got an unexpected keyword argument 'lenght_m'",
         ),
-        (lambda library: fk.fit_table(library, progress=5), "fit_table: progress is 5, give Progress"),
-        (lambda _: fk.run(then=None), "run: then is None, give Then | Sequence[Then]"),
-        (lambda _: fk.run(learn="False"), "run: learn is 'False', give bool"),
-        (lambda _: fk.run(model=5.5), "5.5"),
+        (lambda of: fk.fit_table(of["Library"], progress=5), "fit_table: progress is 5, give Progress"),
+        (lambda of: fk.run(of["Table"], then=None), "run: then is None, give Then | Sequence[Then]"),
+        (lambda of: fk.run(of["Table"], learn="False"), "run: learn is 'False', give bool"),
+        (lambda _: fk.simulate(5.5), "5.5"),
         (lambda _: fk.simulate("frog2022", phase=None), "phase is None: give a number"),
     ],
 )
@@ -225,7 +225,7 @@ def test_an_argument_of_another_type_is_named(
     call: Callable[[Any], object], message: str, given: dict[str, Any]
 ) -> None:
     with pytest.raises(fk.InputError) as refused:
-        call(given["Library"])
+        call(given)
     assert message in str(refused.value)
 
 

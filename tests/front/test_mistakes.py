@@ -144,11 +144,14 @@ CONSTRUCTED = {"Path", "Planner", "World"}
 """Classes that are made by hand; the other ones are results, and keep what they are given."""
 
 
+EFFECTS = ("make_effect", "make_effects", "read_world", "changed_robot", "rods_of", "body_effects")
+
+
 def public() -> dict[str, Callable[..., Any]]:
     """Every function and method of the front door that takes arguments, by its name in errors."""
     found: dict[str, Callable[..., Any]] = {name: getattr(fk.paths, name) for name in fk.paths.SHAPES}
-    found |= {name: getattr(fk.paths, name) for name in ("shape", "from_csv", "from_waypoints")}
-    found |= {name: getattr(fk.effects, name) for name in ("make_effect", "make_effects", "read_world")}
+    found |= {name: getattr(fk.paths, name) for name in ("shape", "from_csv", "from_waypoints", "wrap_angle")}
+    found |= {name: getattr(fk.effects, name) for name in EFFECTS}
     for name in fk.__all__:
         one = getattr(fk, name)
         if inspect.isfunction(one):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float32, Float64
 
 
@@ -80,6 +81,7 @@ class PredictionError:
         return f"{place:{spec or '.2f'}} mm and {turn:{spec or '.2f'}} degrees"
 
 
+@typed
 def wrap_angle(angle_rad: ArrayLike) -> Float64:
     """Wrap angles to (-pi, pi], in float64, in the shape given."""
     angle = np.asarray(angle_rad, dtype=np.float64)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix, rotate
@@ -27,6 +28,7 @@ LEG_S = 0.02
 _APART_M = 0.01  # spacing of the finite difference of the flow about the body's centre
 
 
+@typed
 def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
     """Return the robot with the body that the effects change.
 
@@ -39,6 +41,7 @@ def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
     return robot
 
 
+@typed
 def rods_of(robot: Robot) -> Rods:
     """Return the rods of a robot with the body that the effects of its file change.
 
@@ -48,6 +51,7 @@ def rods_of(robot: Robot) -> Rods:
     return replace(prepare(changed_robot(robot, effects_of(robot))), robot=robot)
 
 
+@typed
 def body_effects(robot: Robot) -> tuple[Effect, ...]:
     """Return the effects of a robot's file that belong to its body, without randomness.
 

@@ -66,6 +66,7 @@ SAME = [name for name, at in RobotFile.model_fields.items() if name != "effect" 
 BUILT_IN = Path(__file__).resolve().parent / "robots"
 
 
+@typed
 def built_in_robots() -> tuple[str, ...]:
     """Names of the built-in robots."""
     return tuple(sorted(p.stem for p in BUILT_IN.glob("*.toml") if not p.stem.endswith(".profiles")))

@@ -226,7 +226,7 @@ static inline float fk_get_f32(const uint8_t *from)
 
 #define FK_HELLO_COMMAND_BYTES 3u
 
-/* Who is there. Of another protocol version, or of a length that only another knows: answered with VERSION. */
+/* Identify robot and table. A HELLO of another protocol version, or with the length of one, is answered with VERSION. */
 typedef struct {
     uint8_t protocol_version; /* the host's */
     uint16_t conversation; /* another than the last HELLO's: sequence numbers begin anew, nothing is a repetition */
@@ -338,7 +338,7 @@ static inline void fk_fix_answer_pack(uint8_t *to, const fk_fix_answer_t *from)
 
 #define FK_PATH_COMMAND_BYTES 3u
 
-/* A part of the path; the whole has arrived when first + count = total. During a run it is collected beside the followed path, and takes over whole, without a stop, at the next decision that has an estimate of the place: the robot goes on where it is nearest to it, at the first of several such places. Until then, and with a part that is missing or refused, the old path is followed; a first part begins anew. A run that ends before leaves the newest whole path for the next START. */
+/* A part of the path, which is complete when first + count = total. During a run the parts are collected while the old path is followed. The complete new path takes over without a stop at the next decision that has an estimate of the pose; the robot continues at its nearest point, the first of several equally near ones. Until then, and if a part is missing or refused, the old path is followed; a first part starts a new path. If the run ends earlier, the newest complete path is used for the next START. */
 typedef struct {
     uint8_t first; /* index of the first point here */
     uint8_t total; /* points of the whole path, 2 to 100 */
@@ -385,7 +385,7 @@ static inline void fk_path_answer_pack(uint8_t *to, const fk_path_answer_t *from
 
 #define FK_START_COMMAND_BYTES 4u
 
-/* Follow the path with the planner on board; needs a position fix of the last 2 s. */
+/* Follow the path with the planner on board. Needs a position fix of the last 2 s. */
 typedef struct {
     uint32_t delay_us; /* time to the first decision, at most 10 s (us) */
 } fk_start_command_t;
@@ -491,7 +491,7 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
 
 #define FK_PARAM_COMMAND_BYTES 5u
 
-/* Set a planner parameter; not while running. */
+/* Set a planner parameter. Not while running. */
 typedef struct {
     uint8_t parameter; /* see parameter */
     float value; /* in the unit of the name */
@@ -517,7 +517,7 @@ static inline void fk_param_answer_pack(uint8_t *to, const fk_param_answer_t *fr
 
 #define FK_STROKE_COMMAND_BYTES 1u
 
-/* Do this action now: the planner is on the host. Refused while a stroke has limbs left to fire. */
+/* Begin this action now, with the planner on the host. Refused while a stroke has limbs left to fire. */
 typedef struct {
     uint8_t action; /* index in the table's actions */
 } fk_stroke_command_t;
@@ -543,7 +543,7 @@ static inline void fk_stroke_answer_pack(uint8_t *to, const fk_stroke_answer_t *
 
 #define FK_PLAN_COMMAND_BYTES 45u
 
-/* Plan for a given state without moving: for tests of parity. Not while running. */
+/* Plan for a given state without moving, for parity tests. Not while running. */
 typedef struct {
     uint8_t depth; /* 1 to 4 levels */
     float x_m; /* world (m) */
@@ -641,7 +641,7 @@ static inline void fk_plan_answer_pack(uint8_t *to, const fk_plan_answer_t *from
 
 #define FK_TABLE_BEGIN_COMMAND_BYTES 36u
 
-/* Begin to send a table, or go on with one whose sending was cut off; writes nothing yet. Disarmed and rested only, like the other commands of tables; no ARM until TABLE_COMMIT or TABLE_ROLLBACK. */
+/* Begin to send a table, or continue an interrupted transfer; writes nothing yet. Only if disarmed and rested, as for the other commands of tables; no ARM until TABLE_COMMIT or TABLE_ROLLBACK. */
 typedef struct {
     uint32_t length; /* of the image, whole words (byte) */
     uint32_t hash_0; /* SHA-256 of the image: its first four bytes, the first one uppermost */
@@ -687,7 +687,7 @@ static inline void fk_table_begin_answer_pack(uint8_t *to, const fk_table_begin_
 
 #define FK_TABLE_CHUNK_COMMAND_BYTES 4u
 
-/* 128 bytes of the image, or what is left: to flash at once, each page erased before its first chunk. */
+/* 128 bytes of the image, or the rest of it. Written to flash at once; each page is erased before its first chunk. */
 typedef struct {
     uint32_t offset; /* of the first byte here, as the last answer wanted it (byte) */
 } fk_table_chunk_command_t;
@@ -749,7 +749,7 @@ static inline void fk_table_commit_answer_pack(uint8_t *to, const fk_table_commi
 
 #define FK_TABLE_ROLLBACK_COMMAND_BYTES 4u
 
-/* Use a table that is here from now on: the one before, or the built-in one. Closes an open update; that is all where the table is in use already. */
+/* Use a stored table from now on: the previous or the built-in one. Closes an open update; nothing else happens if the table is in use already. */
 typedef struct {
     uint32_t table_crc; /* CRC-32 of that table, as TABLE_STATUS has it */
 } fk_table_rollback_command_t;
@@ -818,7 +818,7 @@ static inline void fk_table_status_answer_pack(uint8_t *to, const fk_table_statu
 
 #define FK_LOG_COMMAND_BYTES 4u
 
-/* What the robot lived through: its log's records from an offset on. Where that place is there no longer: from the oldest record on. */
+/* Records of the robot's log from an offset on, or from the oldest record on if the offset was overwritten. */
 typedef struct {
     uint32_t offset; /* where to read: 0 at first, then behind what has come (byte) */
 } fk_log_command_t;
@@ -897,7 +897,7 @@ static inline void fk_challenge_answer_pack(uint8_t *to, const fk_challenge_answ
 
 #define FK_KEY_COMMAND_BYTES 32u
 
-/* Give the robot an owner's key, another one, or with 32 zeros none. Disarmed and rested only, with no update of the table open. It ends all authenticated conversations. */
+/* Set the owner's key of the robot; 32 zeros remove it. Only if disarmed and rested, with no update of the table open. Ends all authenticated conversations. */
 typedef struct {
     uint32_t key_0; /* bytes 0 to 3 */
     uint32_t key_1; /* bytes 4 to 7 */
@@ -1029,7 +1029,7 @@ static inline void fk_decision_event_pack(uint8_t *to, const fk_decision_event_t
 
 #define FK_REFUSED_EVENT_BYTES 9u
 
-/* The guard refused the stroke of a decision or a STROKE: the robot rests instead. */
+/* The guard refused the stroke of a decision or a STROKE; the robot rests instead. */
 typedef struct {
     uint8_t action; /* that was to begin */
     uint64_t begin_us; /* when, on the robot's clock (us) */
@@ -1077,7 +1077,7 @@ static inline void fk_boot_record_pack(uint8_t *to, const fk_boot_record_t *from
 
 #define FK_COMMAND_RECORD_BYTES 1u
 
-/* A command that changes something came; what it did follows. Not of a robot in FAULT; FIX not of a disarmed one. */
+/* A command that changes something was received; its effects follow. Not logged in FAULT, and a FIX not while disarmed. */
 typedef struct {
     uint8_t type; /* id of its frame */
 } fk_command_record_t;
@@ -1089,7 +1089,7 @@ static inline void fk_command_record_pack(uint8_t *to, const fk_command_record_t
 
 #define FK_STROKE_RECORD_BYTES 9u
 
-/* An action is asked for, by a decision or STROKE. */
+/* An action is requested, by a decision or STROKE. */
 typedef struct {
     uint8_t action; /* index in the table's actions */
     uint64_t begin_us; /* when it is to begin, on the robot's clock (us) */
@@ -1136,7 +1136,7 @@ static inline void fk_state_record_pack(uint8_t *to, const fk_state_record_t *fr
 
 #define FK_FAULT_RECORD_BYTES 2u
 
-/* An internal error, also one that a start found. */
+/* An internal error, also one that was found at a start. */
 typedef struct {
     uint8_t fault; /* see fault */
     int8_t detail; /* see fault */
@@ -1150,7 +1150,7 @@ static inline void fk_fault_record_pack(uint8_t *to, const fk_fault_record_t *fr
 
 #define FK_SNAPSHOT_RECORD_BYTES 7u
 
-/* A part of the robot's whole state, from which all that follows can be decided again. */
+/* A part of the robot's whole state, from which all later decisions can be repeated. */
 typedef struct {
     uint8_t part; /* counts from 0 */
     uint8_t last; /* 1 = the state is whole with it */

@@ -145,15 +145,25 @@ def robot_keys() -> Iterator[str]:
             yield f"### `{title}`\n\n" + head + "\n".join(_schema_rows(kind, key))
 
 
+def _attributes(kind: type) -> dict[str, str]:
+    """What the docstring of a class says of each of its attributes, without the shape."""
+    text_of = re.split(r"^ +Attributes:\n", kind.__doc__ or "", flags=re.MULTILINE)[-1]
+    meanings = {}
+    for names, text in re.findall(r"^ {8}(\w[\w, ]*): (.*(?:\n {12}.*)*)", text_of, re.MULTILINE):
+        about = re.sub(r"^\([^)]*\) ", "", " ".join(text.split()))
+        meanings.update(dict.fromkeys(names.split(", "), about.removesuffix(".")))
+    return meanings
+
+
 def run_columns() -> Iterator[str]:
     """The groups of a run's log, their columns, and their flags."""
     for group in (runlog.Fixes, runlog.Decisions, runlog.Strokes, runlog.Truth):
+        meanings = _attributes(group)
         rows = [
-            f"| `{name}` | {column.unit} | `{column.dtype}` | {column.width or 1} | "
-            f"{'may be absent' if column.optional else ''} |"
+            f"| `{name}` | {column.unit} | `{column.dtype}` | {column.width or 1} | {meanings[name]} |"
             for name, column in group.columns().items()
         ]
-        head = "| dataset | unit | type | numbers in a row | |\n|---|---|---|---|---|\n"
+        head = "| dataset | unit | type | numbers in a row | meaning |\n|---|---|---|---|---|\n"
         yield f"### `{group.NAME}`\n\n" + head + "\n".join(rows)
     source = Path(runlog.__file__).read_text(encoding="utf-8")
     for name, flag in (("fixes", runlog.FixFlag), ("decisions", runlog.DecisionFlag)):

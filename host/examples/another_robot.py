@@ -1,10 +1,10 @@
-"""Another robot: a TOML file that changes the paper's, and everything follows from it."""
+"""Another robot: a TOML file that changes a few keys of the paper's robot, its table, a run, its firmware."""
 
 from pathlib import Path
 
 import frogkick as fk
 
-# All keys of frog2022 but these. The documentation names every key: host/docs/pages/reference/robot-files.md.
+# All other keys are those of frog2022. Every key is listed in host/docs/pages/reference/robot-files.md.
 Path("mine.toml").write_text(
     """
 base = "frog2022"

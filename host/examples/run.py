@@ -1,4 +1,4 @@
-"""A run: the robot's own C core steers a simulated robot along a path, and the picture of that."""
+"""A run: the robot's C core steers a simulated robot along a path of waypoints, and the run is drawn."""
 
 import frogkick as fk
 
@@ -8,7 +8,7 @@ table = fk.fit_table(fk.build_library(robot, states=100, sampling="visited", pro
 path = fk.paths.from_waypoints([(0.0, 0.0), (0.2, 0.05), (0.4, 0.0)])
 run = fk.run(table, path, robot="pool", seed=1, progress=True)
 print(run)
-print(f"on average {1e3 * run.tracking.mean_distance_m:.1f} mm off its path")
+print(f"mean distance from the path: {1e3 * run.tracking.mean_distance_m:.1f} mm")
 
 run.save("run.h5")
 fk.load_run("run.h5").plot().savefig("run.png")

@@ -1,4 +1,4 @@
-"""A swim: three strokes in the rod simulation, and the gait of the paper."""
+"""A swim: three actions in the rod simulation, and the gait of the paper."""
 
 import frogkick as fk
 

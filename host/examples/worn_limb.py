@@ -1,4 +1,4 @@
-"""A worn limb: true in the pool and told to nobody, found in the robot's logs, and in its next model."""
+"""A worn limb: true in the pool but not in the model, identified from logs, and added to the model."""
 
 import frogkick as fk
 
@@ -8,7 +8,7 @@ table = fk.fit_table(fk.build_library(robot, states=100, sampling="visited", pro
 world = fk.World([fk.effects.LimbWear(limb="rear_left", gain=0.7)])
 runs = [fk.run(table, path, robot="pool", world=world) for path in ("line", "sine", "ellipse")]
 
-# The last run is kept out of learning: what is said of errors is said of it.
+# The last run is the test run: nothing is fitted to it, and the errors are those of its prediction.
 found = fk.identify(runs[:2], robot=robot, test=runs[2:], progress=True)
 print(found)
 for effect in found.effects:

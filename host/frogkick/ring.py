@@ -1,4 +1,4 @@
-"""Once round the ring (``frogkick demo``): library, table, firmware, runs on the virtual chip, a worn limb.
+"""All stages once (``frogkick demo``): library, table, firmware, runs on the virtual chip, a worn limb.
 
 The model does not contain the wear. Identification finds it from logs, and a new table and firmware are made.
 """
@@ -28,7 +28,7 @@ from frogkick.planner.plan import config_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_check import ChipReport, check_on_chip
-from frogkick.runs.closed_loop import swim
+from frogkick.runs.closed_loop import run_in_pool
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import RunOptions
 from frogkick.runs.replay import compare, replay_on_host
@@ -56,24 +56,24 @@ class RingRun:
         return tracking_of_log(self.log)
 
     @cached_property
-    def missed(self) -> Residual:
+    def residual(self) -> Residual:
         """The table's prediction errors."""
         return residual(self.log)
 
 
 @dataclass(frozen=True, eq=False)
-class Closing:
+class Adaptation:
     """The result for the worn limb.
 
     Attributes:
-        planted: the effect that acts in the pool, as in a world's TOML file.
+        true_effect: the effect that acts in the pool, as in a world's TOML file.
         outcome: the result of the identification.
-        old, learned, new: runs of the worn robot with the old table, with the old one while it learned what
-            its limbs have lost, and with the new one, along the same paths and with the same noise; ``new``
-            is empty if no effect was found.
+        old, learned, new: runs of the worn robot with the old table, with the old one while it estimated the
+            wear of its limbs, and with the new one, along the same paths and with the same noise; ``new`` is
+            empty if no effect was found.
     """
 
-    planted: dict[str, Any]
+    true_effect: dict[str, Any]
     outcome: Outcome
     old: list[RunLog]
     learned: list[RunLog]
@@ -95,7 +95,7 @@ class Closing:
             "noise_floor": tested.noise_floor.as_json(),
             "horizons": [each.as_json() for each in self.outcome.horizons],
             "verdict": self.outcome.verdict,
-            "planted": self.planted,
+            "planted": self.true_effect,
             "found": self.outcome.effects_as_json(),
             "changed_robot": {
                 "mean_distance_before_m": self.distance_m(self.old),
@@ -107,14 +107,14 @@ class Closing:
 
 @dataclass
 class Ring:
-    """The results of one pass round the ring.
+    """The results of all stages.
 
     Attributes:
         robot, states, tables, built: the nominal robot, the size of its library, its table and its firmware.
         options, runs: of every run; a run along each path.
         chip: the test of the firmware on the virtual chip.
         stage_s: duration of each stage, s.
-        closing: the result for the worn limb; None before ``close``.
+        adaptation: the result for the worn limb; None before ``adapt``.
     """
 
     robot: Robot
@@ -125,7 +125,7 @@ class Ring:
     runs: list[RingRun] = field(default_factory=list)
     chip: ChipReport = field(default_factory=ChipReport)
     stage_s: dict[str, float] = field(default_factory=dict)
-    closing: Closing | None = None
+    adaptation: Adaptation | None = None
 
     @property
     def mean_distance_m(self) -> float:
@@ -133,18 +133,18 @@ class Ring:
         return float(np.mean([run.tracking.mean_distance_m for run in self.runs]))
 
     @property
-    def missed(self) -> PredictionError:
+    def prediction_error(self) -> PredictionError:
         """Prediction error of the table one period ahead, over all paths."""
-        return PredictionError.of(np.concatenate([run.missed.gap_body for run in self.runs]))
+        return PredictionError.of(np.concatenate([run.residual.gap_body for run in self.runs]))
 
     @property
     def passed(self) -> bool:
-        """Whether chip and twin agreed, no limit was broken, and the firmware passed its test."""
+        """Whether chip and twin agreed, no limit was violated, and the firmware passed its tests."""
         broken = any(run.mismatches or run.tracking.limit_violations for run in self.runs)
         return self.chip.passed and not broken
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command ``demo``, without the report; before and after: see ``Closing``."""
+        """The keys of the command ``demo``, without the report; before and after: see ``Adaptation``."""
         return {
             "mean_distance_m": self.mean_distance_m,
             "paths": {
@@ -152,13 +152,13 @@ class Ring:
                 for run in self.runs
                 if run.log.path is not None
             },
-            **(self.closing.as_json() if self.closing else {}),
-            "table_missed": {**self.missed.as_json(), "periods": self.missed.count},
+            **(self.adaptation.as_json() if self.adaptation else {}),
+            "table_missed": {**self.prediction_error.as_json(), "periods": self.prediction_error.count},
             "chip_checks_passed": self.chip.passed,
         }
 
 
-def go_round(
+def run_demo(
     robot: Robot,
     out: Path,
     states: int,
@@ -192,36 +192,38 @@ def go_round(
     ring = Ring(robot, states, tables, built, options, stage_s=stage_s)
     with bar("firmware on the virtual chip: commands and limits") as progress:
         ring.chip = check_on_chip(built.image, tables, robot, progress)
-    lap("trial of the firmware")
+    lap("tests of the firmware")
     for name in paths:
         with bar(f"swim the {name}: path points") as progress:
-            ring.runs.append(_swim(ring, name, seed, progress))
+            ring.runs.append(_follow(ring, name, seed, progress))
         write_run(out / f"{name}.h5", ring.runs[-1].log)
         lap(f"swim the {name}")
     return ring
 
 
-def _swim(ring: Ring, name: str, seed: int, progress: Callable[[int, int], None]) -> RingRun:
+def _follow(ring: Ring, name: str, seed: int, progress: Callable[[int, int], None]) -> RingRun:
     port = VirtualRobot(ring.built.image, len(ring.robot.limbs))
-    swum = swim(port, ring.tables, ring.robot, shape(name), ring.options, seed, "demo", progress=progress)
-    again = replay_on_host(swum.events, DecisionTwin(ring.tables, swum.path, ring.options.config))
-    return RingRun(swum.log(), len(compare(swum.decisions, again)))
+    recording = run_in_pool(
+        port, ring.tables, ring.robot, shape(name), ring.options, seed, "demo", progress=progress
+    )
+    again = replay_on_host(recording.events, DecisionTwin(ring.tables, recording.path, ring.options.config))
+    return RingRun(recording.log(), len(compare(recording.decisions, again)))
 
 
-def plant(robot: Robot, seed: int) -> dict[str, Any]:
+def draw_wear(robot: Robot, seed: int) -> dict[str, Any]:
     """Return the wear of a random limb by a random gain of 0.6 to 0.8, as in a world's TOML file."""
     rng = np.random.default_rng([seed, 2])
     limb = robot.limbs[int(rng.integers(len(robot.limbs)))].name
     return {"name": "limb_wear", "limb": limb, "gain": round(float(rng.uniform(0.6, 0.8)), 3)}
 
 
-def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT) -> None:
+def adapt(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT) -> None:
     """Wear a limb, identify the wear from logs, make a new table and firmware, and follow the paths again.
 
-    In between the paths are followed with the old table while the robot learns what its limbs have lost.
+    In between, the paths are followed with the old table while the robot estimates the wear of its limbs.
 
     Args:
-        ring: result of ``go_round``, whose ``closing`` is set. The runs along its paths are the training
+        ring: result of ``run_demo``, whose ``adaptation`` is set. The runs along its paths are the training
             runs.
         out: the same folder, for logs (``worn-PATH.h5``), ``found.toml`` and, if an effect is found, ``new/``
             with library, table and firmware.
@@ -231,11 +233,11 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
     lap = _stage_clock(ring.stage_s)
     robot, tables, options = ring.robot, ring.tables, ring.options
     paths = [run.log.path.name for run in ring.runs if run.log.path is not None]
-    planted = plant(robot, seed)
+    true_effect = draw_wear(robot, seed)
 
-    def swum(image: Path, with_tables: Tables, name: str, title: str, learn: bool = False) -> RunLog:
+    def follow(image: Path, with_tables: Tables, name: str, title: str, learn: bool = False) -> RunLog:
         with bar(f"{title}, the {name}: path points") as progress:
-            return swim(
+            return run_in_pool(
                 VirtualRobot(image, len(robot.limbs)),
                 with_tables,
                 robot,
@@ -243,18 +245,18 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
                 dataclasses.replace(options, learn=learn),
                 [seed, 1],
                 "demo",
-                World(make_effects([planted], Path())),
+                World(make_effects([true_effect], Path())),
                 progress=progress,
             ).log()
 
     logs, old = [], []
     for name in (*paths, held_out):
-        run = swum(ring.built.image, tables, name, "swim with a worn limb")
+        run = follow(ring.built.image, tables, name, "swim with a worn limb")
         logs.append(out / f"worn-{name}.h5")
         write_run(logs[-1], dataclasses.replace(run, truth=None))
         old.append(run)
     lap("swim with a worn limb")
-    learned = [swum(ring.built.image, tables, name, "swim and learn", learn=True) for name in paths]
+    learned = [follow(ring.built.image, tables, name, "swim and learn", learn=True) for name in paths]
     lap("swim and learn")
     swims = [read_segments(log, robot) for log in logs]
     with in_stages(bar, "identify") as tell:
@@ -272,9 +274,9 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         built = build("bench", image, found, out / "new" / "firmware")
         lap("new library, tables, firmware")
         opened = read_image(image)
-        new = [swum(built.image, opened, name, "swim with the new firmware") for name in paths]
+        new = [follow(built.image, opened, name, "swim with the new firmware") for name in paths]
         lap("swim with the new firmware")
-    ring.closing = Closing(planted, outcome, old[:-1], learned, new)
+    ring.adaptation = Adaptation(true_effect, outcome, old[:-1], learned, new)
 
 
 def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, title: str) -> Path:
@@ -285,7 +287,7 @@ def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, tit
 
 
 def _stage_clock(stage_s: dict[str, float]) -> Callable[[str], None]:
-    """Return what is called at the end of each stage, and notes its duration, s."""
+    """Return a function that is called at the end of each stage and records its duration, s."""
     since_s = time.perf_counter()
 
     def lap(stage: str) -> None:

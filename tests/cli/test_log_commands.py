@@ -113,8 +113,8 @@ def test_a_pipe_is_not_replaced_by_a_picture(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["export", "RUN", "--out", "OUT"], "either --csv"),
-        (["export", "RUN", "--csv", "--mcap", "--out", "OUT"], "either --csv"),
+        (["export", "RUN", "--out", "OUT"], "--csv, --mcap: give exactly one"),
+        (["export", "RUN", "--csv", "--mcap", "--out", "OUT"], "--csv, --mcap: give exactly one"),
         (["export", "RUN", "--mcap", "--out", "."], "is a folder"),
         (["export", "RUN", "--csv", "--out", "RUN"], "is a file"),
         (["export", "none.h5", "--csv", "--out", "OUT"], "does not exist"),

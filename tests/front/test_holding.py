@@ -14,7 +14,7 @@ from tests.runs import rig
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.front.courses import held, hold_json, hold_radius_m, require_room, turn_radius_m
+from frogkick.front.mission import hold_json, hold_radius_m, hold_report, require_room, turn_radius_m
 from frogkick.paths import line
 from frogkick.paths.hold import LAP_POINTS
 from frogkick.planner.plan import PlanConfig
@@ -128,16 +128,16 @@ def test_laps_are_moved_against_what_carries_the_robot_away() -> None:
 def test_without_it_a_run_says_nothing_of_it() -> None:
     run = fk.run(None, "line", model="frog2022", robot="pool", plan="host", time_limit_s=3.0)
     assert run.as_json()["hold"] is None
-    assert held(None, False) == ""
-    assert "give a longer --simulated-time" in held(None, True)
+    assert hold_report(None, False) == ""
+    assert "give a longer --simulated-time" in hold_report(None, True)
 
 
 def test_what_is_said_of_it() -> None:
     found = {"from_s": 1.0, "worst_m": 0.08, "mean_m": 0.07, "within_m": 0.075, "limit_m": 0.1}
-    assert held(found, True) == "the robot held within 80 mm of its path's end, 70 mm on average"
-    assert "the water or worn limbs carried it away" in held({**found, "worst_m": 0.12}, True)
+    assert hold_report(found, True) == "the robot held within 80 mm of its path's end, 70 mm on average"
+    assert "the water or worn limbs carried it away" in hold_report({**found, "worst_m": 0.12}, True)
     wide = {**found, "worst_m": 0.2, "within_m": 0.18}
-    assert "100 mm: the tightest circle that it can follow has a radius of 180 mm" in held(wide, True)
+    assert "100 mm: the tightest circle that it can follow has a radius of 180 mm" in hold_report(wide, True)
 
 
 def test_a_robot_that_cannot_turn_is_refused() -> None:

@@ -11,7 +11,7 @@ from tests.runs import rig
 import frogkick as fk
 from frogkick.core.errors import InputError
 from frogkick.front.bench import placed
-from frogkick.front.courses import next_paths
+from frogkick.front.mission import next_paths
 from frogkick.paths import line, shape
 
 

@@ -11,7 +11,7 @@ from tests.conftest import from_ci
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.front.courses import MARGIN_M, WALL_GLIDE, WALL_WEIGHT_PER_M, walled
+from frogkick.front.mission import MARGIN_M, WALL_GLIDE, WALL_WEIGHT_PER_M, with_walls
 from frogkick.front.tables import default_tables, load_table
 from frogkick.paths import from_waypoints
 from frogkick.planner.plan import PlanConfig, config_of, plan
@@ -24,14 +24,14 @@ def table() -> fk.Table:
 
 def test_walls_stand_as_far_as_the_robot_reaches(table: fk.Table) -> None:
     plain = config_of(table.robot.planner)
-    assert walled(plain, None, table) == plain
-    made = walled(plain, "0,-1,2,1", table)
+    assert with_walls(plain, None, table) == plain
+    made = with_walls(plain, "0,-1,2,1", table)
     away_m = np.hypot(0.045, 0.045) + 0.0355 + MARGIN_M
     assert (made.wall_weight_per_m, made.wall_glide) == (WALL_WEIGHT_PER_M, WALL_GLIDE)
     assert plain.course_weight_per_m > made.course_weight_per_m == 0.0, "the heading alone counts there"
     found = (made.wall_x_min_m, made.wall_x_max_m, made.wall_y_min_m, made.wall_y_max_m)
     assert found == pytest.approx((away_m, 2.0 - away_m, away_m - 1.0, 1.0 - away_m))
-    assert walled(plain, (0.0, -1.0, 2.0, 1.0), table) == made
+    assert with_walls(plain, (0.0, -1.0, 2.0, 1.0), table) == made
 
 
 @pytest.mark.parametrize(
@@ -48,12 +48,12 @@ def test_walls_stand_as_far_as_the_robot_reaches(table: fk.Table) -> None:
 )
 def test_what_are_no_walls(table: fk.Table, inside: object, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        walled(config_of(table.robot.planner), inside, table)  # type: ignore[arg-type]
+        with_walls(config_of(table.robot.planner), inside, table)  # type: ignore[arg-type]
 
 
 def test_the_published_cost_knows_no_walls(table: fk.Table) -> None:
-    with pytest.raises(InputError, match="the cost 'route' alone"):
-        walled(PlanConfig(), "0,0,1,1", table)
+    with pytest.raises(InputError, match="only the cost 'route'"):
+        with_walls(PlanConfig(), "0,0,1,1", table)
 
 
 def test_a_wall_turns_a_plan_away(table: fk.Table) -> None:
@@ -62,8 +62,8 @@ def test_a_wall_turns_a_plan_away(table: fk.Table) -> None:
     plain = dataclasses.replace(config_of(table.robot.planner), course_weight_per_m=0.0)  # as between walls
     state = np.array([0.0, 0.0, 0.8, 0.02, 0.0, 0.0])
     free = plan(table.tables, path, plain, state)
-    kept = plan(table.tables, path, walled(plain, (-1.0, -1.0, 1.0, 0.11), table), state)
-    far = plan(table.tables, path, walled(plain, (-1.0, -1.0, 1.0, 3.0), table), state)
+    kept = plan(table.tables, path, with_walls(plain, (-1.0, -1.0, 1.0, 0.11), table), state)
+    far = plan(table.tables, path, with_walls(plain, (-1.0, -1.0, 1.0, 3.0), table), state)
     assert (far.action, far.cost) == (free.action, free.cost)
     assert kept.predicted[2] < free.predicted[2] and kept.cost > free.cost
 

@@ -18,7 +18,7 @@ from frogkick.identification.responses import responses_of
 from frogkick.identification.search import nominal_fit
 from frogkick.identification.segments import read_segments
 from frogkick.identification.verdict import PARTLY
-from frogkick.report.identify_figures import missing_figure
+from frogkick.report.identify_figures import missing_terms_figure
 from frogkick.robot import load_robot
 
 pytestmark = few_pieces
@@ -105,7 +105,7 @@ def test_the_logs_of_a_misfire_are_partly_explained() -> None:
     failing = effect["parameters"]["failing"]
     assert effect["limb"] == "front_left" and failing["interval"][0] < 0.3 < failing["interval"][1]
     assert outcome.tested.after == outcome.tested.before
-    assert missing_figure(outcome) is not None
+    assert missing_terms_figure(outcome) is not None
     strokes = outcome.as_json()["residuals"]["strokes"]
     assert {each["limb"] for each in strokes if each["log_ratio"] < -10.0} == {"front_left"}
 

@@ -227,8 +227,8 @@ def test_better_tables_are_kept_with_the_old_ones(
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
     said = printed(result)
     for reported in (
-        "old tables: 2.00 mm", "new tables: 0.50 mm", "10.0 mm from the path, 20.0 mm/s along it",
-        "1 of 2 runs completed", "tables, 5 periods ahead: ", "effect limb_wear rear_left: gain 0.7 [",
+        "old table: 2.00 mm", "new table: 0.50 mm", "10.0 mm from the path, 20.0 mm/s along it",
+        "1 of 2 runs completed", "table, 5 periods ahead: ", "effect limb_wear rear_left: gain 0.7 [",
     ):  # fmt: skip
         assert reported in said, said
     assert tools.swum == [b"nominal", b"worn"]  # old tables first, both by the robot as it is now
@@ -298,7 +298,7 @@ def test_of_what_tables_cannot_know_none_are_made(
 
     monkeypatch.setattr(tools, "tracked", tracked)
     result = retuned(swims, robot(), tmp_path / "new", tools, silent)
-    assert "tables cannot know it" in result.reason and not list(tmp_path.iterdir())
+    assert "no table can contain what was found" in result.reason and not list(tmp_path.iterdir())
     assert tools.made == ["nominal"] and pools == [2, 0], "what it costs, with a table as the robot has"
 
 
@@ -409,7 +409,7 @@ def test_from_logs_to_firmware(
     code, stdout, stderr = command(capsys, *runs, *given, "--tables", out / TABLES, "--out", again)
     values = json.loads(stdout)
     assert code == 1 and values["better"] is False and values["before"] == values["after"]
-    assert stderr.splitlines()[-1].startswith("frogkick: the new tables are no better")
+    assert stderr.splitlines()[-1].startswith("frogkick: the new table is no better")
     assert (again / BEFORE).read_bytes() == (again / REFUSED).read_bytes() == tables.image
     assert not (again / TABLES).exists() and not (again / "firmware").exists()
 

@@ -83,7 +83,7 @@ def test_what_no_table_holds_is_named_with_what_it_costs(
         "without": {"mean_distance_m": 0.03, "progress_mps": 0.02, "completed": 1, "runs": 2},
     }
     said = printed(result)
-    assert "no table can hold: spring" in said and "20.0 mm from the path with that in the pool" in said
+    assert "no table can contain: spring" in said and "20.0 mm from the path with these in the pool" in said
     held = body_effects(load_robot(tmp_path / "new" / ROBOT))
     assert [effect.title for effect in held] == ["limb_wear", "stroke by speed"], (
         "the library has what it can"
@@ -92,7 +92,7 @@ def test_what_no_table_holds_is_named_with_what_it_costs(
     pools.clear()
     monkeypatch.setattr(module, "identify", lambda *_args, **_more: with_terms(known, PULLED))
     alone = retuned(swims, robot(), tmp_path / "none", tools, silent, b"old", laws=True)
-    assert "hangs on place, heading or time" in alone.reason and not (tmp_path / "none").exists()
+    assert "depends on position, heading or time" in alone.reason and not (tmp_path / "none").exists()
     assert pools == [["spring"], []] and alone.lost is not None
     made = retuned(swims, robot(), tmp_path / "none", tools, silent, laws=True)
     assert made.lost is not None and len(pools) == 4, "with an old table of its own"

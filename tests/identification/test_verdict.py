@@ -38,7 +38,7 @@ from frogkick.identification.verdict import (
     verdict_of,
 )
 from frogkick.runs.runlog import Fixes, FixFlag
-from frogkick_studies.planted_laws import LAWS_TEXT
+from frogkick_studies.synthetic_laws import LAWS_TEXT
 
 pytestmark = few_pieces
 

@@ -298,7 +298,7 @@ def test_a_run_whose_connection_was_lost_for_too_long(camera: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--begin 2,0.4,0", "--begin 2,0.4,0 is outside the pool, which reaches from 0,0 to 1.2,0.9 m"),
+        ("--begin 2,0.4,0", "--begin 2,0.4,0 is outside the pool: give x and y from 0,0 to 1.2,0.9 m"),
         ("--begin here", "--begin is 'here': give X,Y,DEG in m and degrees"),
         ("--robot bench", "'bench'"),
         ("--flash short", "flash has"),

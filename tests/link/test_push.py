@@ -171,10 +171,10 @@ def test_retune_sends_nothing_to_a_robot_with_other_tables(
     robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
     """It was weighed against tables that this robot does not carry."""
-    output = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True, before=OTHER)
-    assert output.code == 2 and output.json["pushed"] is None and output.json["better"] is True
-    assert output.stderr.splitlines()[-1].startswith(
-        f"frogkick: the new tables are made but were not sent: the robot carries the table with CRC-32 "
+    reported = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True, before=OTHER)
+    assert reported.code == 2 and reported.json["pushed"] is None and reported.json["better"] is True
+    assert reported.stderr.splitlines()[-1].startswith(
+        f"frogkick: the new table was made but not sent: the robot carries the table with CRC-32 "
         f"{crc_of(OLD):08x}, the new one was compared with {crc_of(OTHER):08x}"
     )
     assert "TABLE_BEGIN" not in robot.names() and (tmp_path / "out" / TABLES).exists()

@@ -125,7 +125,7 @@ def test_a_time_that_is_a_picture_s_but_for_rounding_is_the_picture_s() -> None:
         pool.advance(at_s)
     for limb, start_s, text in (
         (0, 0.5, "fire now or later"), (0, np.inf, "fire now or later"), (0, np.nan, "fire now or later"),
-        (-1, 1.1, "limb -1"), (4, 1.1, "none of 0-3"),
+        (-1, 1.1, "is -1: give 0 to 3"), (4, 1.1, "is 4: give 0 to 3"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=text):
             pool.actuate(limb, start_s)

@@ -21,13 +21,13 @@ from frogkick.identification.search import CandidateScore
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import UNEXPLAINED
 from frogkick.report.identify_figures import (
-    cause_figure,
+    by_action_figure,
+    candidates_figure,
     error_figure,
     place_figure,
-    rest_figure,
     time_figure,
     track_figure,
-    tried_figure,
+    unexplained_figure,
 )
 from frogkick.report.identify_page import write_identify_page
 from frogkick.report.identify_residuals import by_limb, explained_shares, residuals_of
@@ -65,10 +65,10 @@ def figures(outcome: Outcome) -> dict[str, Figure]:
         "track": track_figure(outcome, residuals),
         "error": error_figure(outcome),
         "time": time_figure(outcome, residuals),
-        "cause": cause_figure(outcome, residuals),
+        "cause": by_action_figure(outcome, residuals),
         "place": place_figure(residuals),
-        "tried": tried_figure(TURNS),
-        "rest": rest_figure(outcome),
+        "tried": candidates_figure(TURNS),
+        "rest": unexplained_figure(outcome),
     }
 
 

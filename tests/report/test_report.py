@@ -129,18 +129,18 @@ def test_a_page_escapes_what_it_is_given(tmp_path: Path) -> None:
 @from_ci
 def test_the_rings_report(tmp_path: Path) -> None:
     from frogkick.report.ring_page import write_ring_report
-    from frogkick.ring import go_round
+    from frogkick.ring import run_demo
 
-    ring = go_round(robot(), tmp_path, 10, 1, 0, progress_bar, paths=("line", "sine"), time_limit_s=4.0)
+    ring = run_demo(robot(), tmp_path, 10, 1, 0, progress_bar, paths=("line", "sine"), time_limit_s=4.0)
     target = tmp_path / "report.html"
     write_ring_report(target, ring)
     links = self_contained(target.read_text(encoding="utf-8"))
     assert links.beside == ["line.h5", "sine.h5"] and all((tmp_path / name).exists() for name in links.beside)
     assert len(links.found) == 4  # the robot, its actions, a picture for each path
     for reported in (
-        "distance", "actions", "estimate", "mismatches", "limits broken", "flash", "RAM", "stack",
+        "distance", "actions", "estimate", "mismatches", "guard limits violated", "flash", "RAM", "stack",
         "one plan at depth 1", "one plan at depth 4", "cycles at 64 MHz", "Line", "Sine", "15 Hz",
-        "library, tables", "actions: which limbs to heat", "is followed least well", "robot in any period",
+        "library, tables", "actions: which limbs to heat", "the largest mean distance", "robot in any period",
     ):  # fmt: skip
         assert reported in links.text, reported
     assert "nan" not in links.text.lower().split()

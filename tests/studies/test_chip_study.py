@@ -29,8 +29,8 @@ from frogkick_studies.chip import (
     DepthSpeed,
     chip_speed,
     cycles_of,
-    dearest,
     fit_cycles,
+    most_expensive,
     open_ms,
 )
 
@@ -115,7 +115,7 @@ def test_of_many_states_the_dearest_are_run(small: Built, monkeypatch: pytest.Mo
     monkeypatch.setitem(RUN, 1, 300)
     some = small.speed({1: 1800})[1]
     assert some.states == 1800
-    assert 200 <= some.run <= 300  # the dearest of all and those of a reach are partly the same
+    assert 200 <= some.run <= 300  # the most_expensive of all and those of a reach are partly the same
     assert some.worst_ms == pytest.approx(every.worst_ms, rel=0.002)
     assert (some.worst_path, some.worst_state) == (every.worst_path, every.worst_state)
     assert some.worst_ms_by_reach == pytest.approx(every.worst_ms_by_reach, rel=0.002)
@@ -144,7 +144,7 @@ def test_the_model_knows_what_a_block_takes(small: Built) -> None:
 def test_the_dearest_are_of_every_reach() -> None:
     predicted = np.arange(100.0)
     beyond = np.repeat(np.array([30.0, 3.0, 1.0, 1000.0], dtype=np.float32), 25)
-    places = dearest(predicted, beyond, 16)
+    places = most_expensive(predicted, beyond, 16)
     assert {99, 98, 24, 23, 49, 48, 74, 73} <= set(places.tolist())
     assert len(places) <= 16
     assert set(range(92, 100)) <= set(places.tolist())
@@ -172,7 +172,7 @@ def test_slower_memory_makes_slower_decisions(small: Built) -> None:
 
 @from_ci
 def test_decisions_are_within_their_limits(large: Built) -> None:
-    """Worst of all states, paths and places; the dearest of 10^5 at each depth in make test-full."""
+    """Worst of all states, paths and places; the most_expensive of 10^5 at each depth in make test-full."""
     counts = {1: count(90, 100_000, 36), 2: count(45, 100_000, 24), 3: count(18, 100_000, 12)}
     speeds = large.speed(counts, workers=count(1, 2))
     for depth, limit_ms in LIMIT_MS.items():

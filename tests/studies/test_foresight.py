@@ -15,18 +15,18 @@ from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.paths import from_waypoints, shape
 from frogkick.runs.record import along_path
-from frogkick_studies.foresight import SAMPLES, Foreseen, foresee, nearest_at, swim
+from frogkick_studies.foresight import SAMPLES, OfflinePlan, nearest_at, plan_offline, swim
 
 REST = (0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def sine() -> list[Foreseen]:
+def sine() -> list[OfflinePlan]:
     path = shape("sine")
-    return foresee(rig.tables(), path, (0.0, 0.0, float(path.tangent_rad[0])), breadth=60)
+    return plan_offline(rig.tables(), path, (0.0, 0.0, float(path.tangent_rad[0])), breadth=60)
 
 
-def test_a_slower_plan_stays_nearer_and_all_are_swum_as_told(sine: list[Foreseen]) -> None:
+def test_a_slower_plan_stays_nearer_and_all_are_swum_as_told(sine: list[OfflinePlan]) -> None:
     path, tables = shape("sine"), rig.tables()
     assert len(sine) > 3
     assert [len(plan.actions) for plan in sine] == sorted({len(plan.actions) for plan in sine})
@@ -41,9 +41,9 @@ def test_a_slower_plan_stays_nearer_and_all_are_swum_as_told(sine: list[Foreseen
     assert nearest_at(sine, 1.0) is None
 
 
-def test_a_larger_breadth_finds_nearer_plans(sine: list[Foreseen]) -> None:
+def test_a_larger_breadth_finds_nearer_plans(sine: list[OfflinePlan]) -> None:
     path = shape("sine")
-    narrow = foresee(rig.tables(), path, (0.0, 0.0, float(path.tangent_rad[0])), breadth=4)
+    narrow = plan_offline(rig.tables(), path, (0.0, 0.0, float(path.tangent_rad[0])), breadth=4)
     wide = {len(plan.actions): plan.mean_distance_m for plan in sine}
     gain_m = [p.mean_distance_m - wide[len(p.actions)] for p in narrow if len(p.actions) in wide]
     assert len(gain_m) > 1 and np.mean(gain_m) > 0.0
@@ -54,7 +54,7 @@ def test_a_short_path_is_planned_as_trying_everything_finds() -> None:
     """All sequences of up to four actions, swum one by one."""
     path = from_waypoints([(0.0, 0.0), (0.06, 0.02)], smooth=False, points=40)
     tables = rig.tables()
-    found = foresee(tables, path, REST, breadth=5000)
+    found = plan_offline(tables, path, REST, breadth=5000)
     best: dict[int, float] = {}
     for count in range(1, 5):
         for actions in itertools.product(range(len(tables.actions)), repeat=count):
@@ -71,7 +71,7 @@ def test_a_short_path_is_planned_as_trying_everything_finds() -> None:
 
 def test_a_path_out_of_reach_is_told() -> None:
     with pytest.raises(InputError, match=r"no plan comes to the end of path .* within 150 decisions"):
-        foresee(rig.tables(), from_waypoints([(0.0, 0.0), (50.0, 0.0)], smooth=False), REST, breadth=1)
+        plan_offline(rig.tables(), from_waypoints([(0.0, 0.0), (50.0, 0.0)], smooth=False), REST, breadth=1)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

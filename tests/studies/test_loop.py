@@ -194,12 +194,16 @@ EVEN = (20.0, 20.0, 20.0, 20.0, 20.0)
         (GOOD, EVEN, []),
         ((40.0, 5.0, 20.0, 20.0, 20.0), EVEN, []),  # the limits themselves
         ((40.0, 35.0, 18.0, 30.0, 17.9), EVEN, []),  # one of depth 2 and 3 is enough
-        ((40.0, 35.0, 25.0, 18.0, 20.1), EVEN, ["further off than 0.5"]),
+        ((40.0, 35.0, 25.0, 18.0, 20.1), EVEN, ["is more than 0.5 of the paper's"]),
         (GOOD, (20.0, 20.0, 30.0, 30.0, 19.9), ["less progress"]),
-        ((40.0, 35.0, 15.9, 17.0, 16.0), EVEN, ["neither depth"]),
-        ((40.0, 5.0, 3.0, 4.0, 41.0), (20.0, 9.0, 9.0, 9.0, 9.0), ["further", "less progress", "neither"]),
+        ((40.0, 35.0, 15.9, 17.0, 16.0), EVEN, ["depth 2 and depth 3 are both larger"]),
+        (
+            (40.0, 5.0, 3.0, 4.0, 41.0),
+            (20.0, 9.0, 9.0, 9.0, 9.0),
+            ["is more than", "less progress", "both larger"],
+        ),
         ((0.0, 0.0, 0.0, 0.0, 0.0), EVEN, []),
-        ((float("nan"), 1.0, 1.0, 1.0, 1.0), EVEN, ["further"]),
+        ((float("nan"), 1.0, 1.0, 1.0, 1.0), EVEN, ["is more than"]),
     ],
 )
 def test_the_verdict_follows_from_the_figures(
@@ -302,8 +306,8 @@ def test_the_exit_code_is_the_verdict(
     assert run_command(words) == code
     text = capsys.readouterr().out
     assert "nominal, over all paths:" in text and "hidden, over all paths:" in text
-    assert ("missed: robot, depth 3 is further off" in text) is (code == 1)
-    assert ("all that was asked is so" in text) is (code == 0)
+    assert ("requirement not met: the distance of robot, depth 3" in text) is (code == 1)
+    assert ("all requirements are met" in text) is (code == 0)
 
 
 @from_ci

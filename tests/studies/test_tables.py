@@ -116,7 +116,7 @@ def test_history_as_an_input_is_worth_most_where_limbs_tire(monkeypatch: pytest.
     fading = list(history.VARIANTS)[-1]
     if not FULL:
         monkeypatch.setattr(history, "VARIANTS", {fading: history.VARIANTS[fading]})
-    results = history.history_worth(robot(), count(60, 400), count(8, 100), 1)
+    results = history.measure_limb_use(robot(), count(60, 400), count(8, 100), 1)
     tiring = [result for result in results if result.variant != "as described"]
     assert len(tiring) == count(1, 2)
     better = count(80, 30) / 100.0

@@ -28,10 +28,10 @@ from frogkick.runs.recorded.importer import read_recorded
 from frogkick.tables.image import open_image
 from frogkick_studies import in_pool
 from frogkick_studies import twin as twin_module
-from frogkick_studies.believed import Choices, believed_motions, choices_of, image_of_motions
-from frogkick_studies.in_pool import PAPER, ROBOT, Case, Course, Outcome, course_of
+from frogkick_studies.in_pool import PAPER, ROBOT, Case, Outcome, PathTask, shape_task
+from frogkick_studies.inverse_planning import Choices, assumed_motions, choices_of, image_of_motions
 from frogkick_studies.twin import (
-    BELIEVED,
+    ASSUMED,
     FULL,
     TWIN,
     body_of,
@@ -97,7 +97,7 @@ def test_only_one_robots_two_files_are_compared() -> None:
 
 def test_the_robots_own_planner_with_its_own_table_is_the_last() -> None:
     planners = planners_of_twin(measured(), True)
-    assert [planner.table for planner in planners] == [PAPER, BELIEVED, FULL, ROBOT]
+    assert [planner.table for planner in planners] == [PAPER, ASSUMED, FULL, ROBOT]
     assert [planner.own for planner in planners] == [False, False, True, True]
     assert all(planner.config == PlanConfig() for planner in planners[:2])
     assert planners[-1].config.depth == measured().planner.depth
@@ -105,20 +105,18 @@ def test_the_robots_own_planner_with_its_own_table_is_the_last() -> None:
 
 
 def test_recorded_runs_give_path_start_and_figures(frog2022_dir: Path, tmp_path: Path) -> None:
-    runs = {run.course.name: run for run in read_runs(frog2022_dir / "control")}
+    runs = {run.task.name: run for run in read_runs(frog2022_dir / "control")}
     assert "line1" in runs and "ellipse1" in runs
     line, ellipse = runs["line1"], runs["ellipse1"]
     assert line.mean_distance_m == pytest.approx(0.0178, abs=1e-4)
     assert ellipse.mean_distance_m == pytest.approx(0.0640, abs=1e-4)
     for run in runs.values():
-        x, y, heading = run.course.start_world
-        assert np.hypot(x - run.course.path.x_m[0], y - run.course.path.y_m[0]) < 0.01
+        x, y, heading = run.task.start_world
+        assert np.hypot(x - run.task.path.x_m[0], y - run.task.path.y_m[0]) < 0.01
         assert -np.pi < heading <= np.pi
     # An ellipse begins across the robot's heading, a line along it.
-    assert abs(line.course.start_world[2] - line.course.path.tangent_rad[0]) < 0.1
-    assert abs(ellipse.course.start_world[2] - ellipse.course.path.tangent_rad[0]) == pytest.approx(
-        1.55, abs=0.1
-    )
+    assert abs(line.task.start_world[2] - line.task.path.tangent_rad[0]) < 0.1
+    assert abs(ellipse.task.start_world[2] - ellipse.task.path.tangent_rad[0]) == pytest.approx(1.55, abs=0.1)
     with pytest.raises(InputError, match="no run with its path"):
         read_runs(tmp_path)
     with pytest.raises(InputError, match="no folder"):
@@ -151,7 +149,7 @@ def test_choices_are_where_the_newest_fix_was(frog2022_dir: Path) -> None:
 def test_what_a_planner_believes_is_found_from_what_it_chooses() -> None:
     runs = [chosen(name, 60, seed) for seed, name in enumerate(("line", "sine", "ellipse"))]
     begin = MOTION * [1.5, 0.5, 0.3]
-    found = believed_motions(runs, rig.robot(), begin)
+    found = assumed_motions(runs, rig.robot(), begin)
     assert found.decisions == 180
     assert found.nominal_agreement < 0.6 < found.held_out_agreement
     assert found.agreement > 0.85
@@ -160,9 +158,9 @@ def test_what_a_planner_believes_is_found_from_what_it_chooses() -> None:
     assert found.motion[1, 0] == pytest.approx(MOTION[1, 0], rel=0.17)
     assert np.array_equal(found.motion[2] * [1.0, -1.0, -1.0], found.motion[3])
     with pytest.raises(InputError, match="1 runs with 60 decisions"):
-        believed_motions(runs[:1], rig.robot(), begin)
+        assumed_motions(runs[:1], rig.robot(), begin)
     with pytest.raises(InputError, match="2 runs with 20 decisions"):
-        believed_motions([chosen("line", 10, 0), chosen("sine", 10, 1)], rig.robot(), begin)
+        assumed_motions([chosen("line", 10, 0), chosen("sine", 10, 1)], rig.robot(), begin)
 
 
 def test_a_table_of_motions_moves_alike_at_any_velocity() -> None:
@@ -193,11 +191,11 @@ def test_means_weigh_paths_alike() -> None:
 
 
 def test_a_course_is_known_by_path_and_start() -> None:
-    line = course_of("line")
+    line = shape_task("line")
     assert line.start_world == (0.0, 0.0, 0.0)
-    turned = Course("line", line.path, (0.0, 0.0, 1.0))
-    assert len({line.sha256, turned.sha256, Course("line", shape("sine"), line.start_world).sha256}) == 3
-    assert course_of("line").sha256 == line.sha256
+    turned = PathTask("line", line.path, (0.0, 0.0, 1.0))
+    assert len({line.sha256, turned.sha256, PathTask("line", shape("sine"), line.start_world).sha256}) == 3
+    assert shape_task("line").sha256 == line.sha256
 
 
 @pytest.fixture(scope="module")
@@ -277,9 +275,9 @@ def test_the_exit_code_is_the_verdict(
     """Runs are made up: on recorded paths a planner may be far off where it is near on shapes."""
 
     def made_up(*given: object) -> dict[Case, Outcome]:
-        cases, courses = given[4], given[8]
-        assert isinstance(cases, list) and isinstance(courses, list)
-        names = {course.name for course in courses}
+        cases, path_tasks = given[4], given[8]
+        assert isinstance(cases, list) and isinstance(path_tasks, list)
+        names = {task.name for task in path_tasks}
         return {
             case: Outcome(
                 1e-3 * (far_mm.get(case.planner, 9.0) if case.path in names else 9.0), 0.02, True, "", 9
@@ -291,20 +289,22 @@ def test_the_exit_code_is_the_verdict(
     monkeypatch.setattr(twin_module, "run_cases", made_up)
     monkeypatch.setattr(
         twin_module,
-        "believed_motions",
+        "assumed_motions",
         lambda runs, robot, _nominal: dataclasses.replace(
-            twin_module.Believed(begun, 0.7, 0.6, 0.2, sum(len(run.actions) for run in runs))
+            twin_module.AssumedMotions(begun, 0.7, 0.6, 0.2, sum(len(run.actions) for run in runs))
         ),
     )
     words = [*words_of(tmp_path, libraries), "--runs", str(frog2022_dir / "control")]
     assert run_command([*words, "--json"]) == code
-    output = json.loads(capsys.readouterr().out)
-    assert output["passed"] is (code == 0)
-    assert output["recorded"]["line1"]["mean_distance_m"] == pytest.approx(0.0178, abs=1e-4)
-    means = [run["mean_distance_m"] for run in output["recorded"].values()]
-    assert output["recorded_mean_distance_m"] == pytest.approx(np.mean(means))
-    assert output["believed"]["motion"]["E"]["turn_rad"] == pytest.approx(1.2 * MOTION[4, 2])
-    assert [mean["planner"] for mean in output["over_paths"]["recorded_paths"]][1] == "paper, as it believed"
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["passed"] is (code == 0)
+    assert reported["recorded"]["line1"]["mean_distance_m"] == pytest.approx(0.0178, abs=1e-4)
+    means = [run["mean_distance_m"] for run in reported["recorded"].values()]
+    assert reported["recorded_mean_distance_m"] == pytest.approx(np.mean(means))
+    assert reported["believed"]["motion"]["E"]["turn_rad"] == pytest.approx(1.2 * MOTION[4, 2])
+    assert [mean["planner"] for mean in reported["over_paths"]["recorded_paths"]][
+        1
+    ] == "paper, assumed motions"
     assert open_image((tmp_path / "out" / "believed.fkt").read_bytes()).states.shape == (1, 3)
     assert run_command(words) == code
     text = capsys.readouterr().out

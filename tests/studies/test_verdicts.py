@@ -25,9 +25,9 @@ from frogkick.identification.terms import Interval, Term, catalogue
 from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED
 from frogkick.robot import load_robot
 from frogkick_studies import verdicts
-from frogkick_studies.judged import Result, judged, recovered
-from frogkick_studies.planted import LAWS, NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
-from frogkick_studies.planted_laws import DRAWN, LAWS_FILE, LAWS_TEXT, drawn, enough_of, rights
+from frogkick_studies.scoring import Result, is_identified, score_case
+from frogkick_studies.synthetic_effects import LAWS, NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
+from frogkick_studies.synthetic_laws import DRAWN, LAWS_FILE, LAWS_TEXT, drawn, enough_of, rights
 from frogkick_studies.verdicts import Case, VerdictStudy, cases_of, run_cases, verdicts_figure
 
 ROBOT = load_robot("frog2022")
@@ -77,10 +77,10 @@ def test_found_means_the_right_effect_with_no_parameter_far_off() -> None:
     far = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.73, 0.75)}))
     late = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.68, 0.72), "delay_s": (0.01, 0.02)}))
     other = outcome(FOUND, ("limb_wear rear_right", {"gain": (0.68, 0.72)}))
-    assert recovered(worn, right) and recovered(worn, beside)
-    assert not any(recovered(worn, each) for each in (far, late, other))
+    assert is_identified(worn, right) and is_identified(worn, beside)
+    assert not any(is_identified(worn, each) for each in (far, late, other))
     kind = kinds()["wear"]
-    reported = [judged(kind, [worn], each, 1.0) for each in (right, beside, far, other)]
+    reported = [score_case(kind, [worn], each, 1.0) for each in (right, beside, far, other)]
     assert [result.right for result in reported] == [True, True, False, False]
     assert [(result.inside, result.parameters) for result in reported] == [(1, 1), (0, 1), (0, 1), (0, 0)]
     many = VerdictStudy(
@@ -93,23 +93,23 @@ def test_found_means_the_right_effect_with_no_parameter_far_off() -> None:
         {Case("wear", seed): result for seed, result in enumerate([reported[0]] * 97 + [reported[3]] * 3)}
     )
     assert many.groups["one"]["right"] == 97 and not many.passed, "three of a hundred are wrong"
-    assert judged(kind, [worn], other, 1.0).wrong
-    missed = judged(kind, [worn], outcome(UNEXPLAINED), 1.0)
+    assert score_case(kind, [worn], other, 1.0).wrong
+    missed = score_case(kind, [worn], outcome(UNEXPLAINED), 1.0)
     assert not missed.right and not missed.wrong
 
 
 def test_outside_effects_may_be_named_by_what_is_the_same() -> None:
     whirl, waves = kinds()["whirl"], kinds()["waves"]
     shear = outcome(FOUND, ("shear_current", {}))
-    assert judged(whirl, [], shear, 1.0).right
-    assert judged(waves, [], shear, 1.0).wrong
-    assert judged(waves, [], outcome(UNEXPLAINED, ("shear_current", {})), 1.0).right
+    assert score_case(whirl, [], shear, 1.0).right
+    assert score_case(waves, [], shear, 1.0).wrong
+    assert score_case(waves, [], outcome(UNEXPLAINED, ("shear_current", {})), 1.0).right
     partly = outcome(PARTLY, ("shear_current", {}))
-    assert judged(waves, [], partly, 1.0).right and judged(kinds()["null"], [], partly, 1.0).wrong
-    assert not judged(kinds()["shear"], [], partly, 1.0).right
+    assert score_case(waves, [], partly, 1.0).right and score_case(kinds()["null"], [], partly, 1.0).wrong
+    assert not score_case(kinds()["shear"], [], partly, 1.0).right
     null = kinds()["null"]
-    assert judged(null, [], outcome(NOTHING), 1.0).right and judged(null, [], shear, 1.0).wrong
-    results = {Case("whirl", 0): judged(whirl, [], shear, 1.0)}
+    assert score_case(null, [], outcome(NOTHING), 1.0).right and score_case(null, [], shear, 1.0).wrong
+    results = {Case("whirl", 0): score_case(whirl, [], shear, 1.0)}
     assert len(verdicts_figure(results).axes) == 2
 
 
@@ -142,7 +142,7 @@ def test_the_right_law_is_named_by_kind_place_and_limb() -> None:
             before=PredictionError(5e-3, 0.1), after=PredictionError(after, 0.1),
             noise_floor=PredictionError(1e-3, 0.01),
         )  # fmt: skip
-        return judged(kinds()["spring to a point + break"], [cable, broken], given, 1.0)
+        return score_case(kinds()["spring to a point + break"], [cable, broken], given, 1.0)
 
     both = told(here, then)
     assert both.right and not both.wrong and both.gone == pytest.approx(0.75)
@@ -167,7 +167,7 @@ def test_the_right_law_is_named_by_kind_place_and_limb() -> None:
         "cases": 100, "right": 97, "wrongly_found": 3, "parameters": 0, "inside": 0, "passed": True,
         "gone": 100,
     }  # fmt: skip
-    assert many.passed and "70 % of the error gone" in many.text({})
+    assert many.passed and "70 % of the error removed" in many.text({})
     assert not study(*[both] * 84, *[missed] * 16).passed, "too little of the error is gone"
     assert study(*[both] * 85, *[missed] * 15).passed
 
@@ -258,7 +258,7 @@ def test_laws_are_drawn_again_until_the_error_is_as_wanted(monkeypatch: pytest.M
         swum.append((planted[0]["speed"], len(paths)))
         return paths
 
-    def over_floor(*_: Any) -> float:
+    def error_over_floor(*_: Any) -> float:
         reported = next(given)
         if isinstance(reported, InputError):
             raise reported
@@ -266,11 +266,11 @@ def test_laws_are_drawn_again_until_the_error_is_as_wanted(monkeypatch: pytest.M
 
     monkeypatch.setattr(verdicts, "swims_of", swims_of)
 
-    def enough_of(_planted: Any, _train: Any, names: list[str]) -> bool:
+    def enough_of(_made: Any, _train: Any, names: list[str]) -> bool:
         assert names == [limb.name for limb in ROBOT.limbs]
         return next(enough)
 
-    monkeypatch.setattr(verdicts, "over_floor", over_floor)
+    monkeypatch.setattr(verdicts, "error_over_floor", error_over_floor)
     monkeypatch.setattr(verdicts, "enough_of", enough_of)
     ready = cast(Any, SimpleNamespace(robot=ROBOT))
     case, kind = Case("sloshing", 3), kinds()["sloshing"]

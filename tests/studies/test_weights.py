@@ -19,10 +19,10 @@ from frogkick_codegen.native import NativeLibrary
 from frogkick_studies.weights import (
     POPULATION,
     TUNED,
-    Swum,
+    PathRuns,
+    off_path_loss,
     random_path,
     score,
-    strayed,
     swim,
     training_paths,
     tune,
@@ -63,8 +63,8 @@ def test_a_run_by_the_table_ends_and_repeats(library: NativeLibrary) -> None:
 
 def test_a_run_from_astray_finds_its_path(library: NativeLibrary) -> None:
     near, beside, turned = (
-        swim(library, rig.tables(), shape("line"), CONFIG, 3, 5, astray)
-        for astray in ((0.0, 0.0), (1.5, 0.0), (0.0, -2.2))
+        swim(library, rig.tables(), shape("line"), CONFIG, 3, 5, offset)
+        for offset in ((0.0, 0.0), (1.5, 0.0), (0.0, -2.2))
     )
     for run in (beside, turned):
         assert run.completed == 1.0 and 2.0 * near.distance_m < run.distance_m < 0.1
@@ -76,7 +76,7 @@ def test_a_run_from_astray_finds_its_path(library: NativeLibrary) -> None:
 
 
 def test_the_score_prefers_near_runs_but_never_slow_ones() -> None:
-    before = [Swum(0.004, 0.02, 1.0), Swum(0.008, 0.03, 1.0)]
+    before = [PathRuns(0.004, 0.02, 1.0), PathRuns(0.008, 0.03, 1.0)]
     assert score(before, before) == 0.0
     nearer = [dataclasses.replace(each, distance_m=0.5 * each.distance_m) for each in before]
     assert score(nearer, before) == pytest.approx(np.log(0.5))
@@ -89,18 +89,18 @@ def test_the_score_prefers_near_runs_but_never_slow_ones() -> None:
         == 0
     )
     assert score([dataclasses.replace(each, completed=0.5) for each in nearer], before) > 0
-    lost = [before[0], Swum(0.08, 0.005, 0.0)]
+    lost = [before[0], PathRuns(0.08, 0.005, 0.0)]
     assert score([before[0], dataclasses.replace(lost[1], progress_mps=0.001)], lost) == 0.0
 
 
 def test_no_run_from_astray_may_end_farther_than_before() -> None:
-    before = [Swum(0.002, 0.02, 1.0), Swum(0.02, 0.03, 1.0)]
-    assert strayed(before, before, 0.005) == 0.0
+    before = [PathRuns(0.002, 0.02, 1.0), PathRuns(0.02, 0.03, 1.0)]
+    assert off_path_loss(before, before, 0.005) == 0.0
     for distance_m, cost in ((0.004, 0.0), (0.01, np.log(2.0)), (0.02, np.log(4.0))):
-        assert strayed([Swum(distance_m, 0.02, 1.0), Swum(0.01, 0.03, 1.0)], before, 0.005) == pytest.approx(
-            cost
-        )
-    assert strayed([before[0], Swum(0.02, 0.03, 0.5)], before, 0.005) > 1.0
+        assert off_path_loss(
+            [PathRuns(distance_m, 0.02, 1.0), PathRuns(0.01, 0.03, 1.0)], before, 0.005
+        ) == pytest.approx(cost)
+    assert off_path_loss([before[0], PathRuns(0.02, 0.03, 0.5)], before, 0.005) > 1.0
 
 
 def test_what_is_found_is_the_best_that_was_tried() -> None:

@@ -176,7 +176,7 @@ SEEN = ("--image", "640x480", "--camera-height-m", "1.35")
     [
         (["--pool", "1.2", "--corners", "c.toml", "--out", "o.toml"], "--pool '1.2' is not two numbers"),
         (["--pool", "1.2,0.9", "--out", "o.toml"], "not two numbers: write it like 1.2x0.9"),
-        (["--pool", "1.2x0.9", "--out", "o.toml"], "give either the pool's corners"),
+        (["--pool", "1.2x0.9", "--out", "o.toml"], "give exactly one, the pool's corners"),
         (["--pool", "1.2x0.9", "--corners", "c.toml", "--out", "o.toml"], "give its size, such as --image"),
         (
             ["--pool", "1.2x0.9", "--corners", "none.toml", "--image", "640x480", "--out", "o.toml"],

@@ -42,16 +42,16 @@ LOG_COMMANDS = {
 }
 STUDY_COMMANDS = {
     "tables": ("study", "Compare the error of both kinds of table with their size."),
-    "history": ("study", "Measure what limb use as an input does for a table's error."),
+    "history": ("study", "Measure a table's error with and without limb use as input."),
     "estimator": ("study", "Estimate states from late, lost, doubled and wrong fixes."),
     "loop": ("study", "Compare the paper's planner with the robot's in the pool."),
-    "twin": ("study", "Compare both planners on the twin of a worn robot."),
-    "ceiling": ("study", "Compare one planner with tables, rods or the pool as model."),
-    "foresight": ("study", "Compute the offline bound: how near a path any plan stays."),
-    "weights": ("study", "Tune the planner's weights on random paths, by its table."),
+    "twin": ("study", "Compare both planners on the twin of the recorded robot."),
+    "ceiling": ("study", "Compare one planner with tables or the rods as its model."),
+    "foresight": ("study", "Compute the offline bound: how close to a path a plan stays."),
+    "weights": ("study", "Tune the planner's weights on random paths, by simulation."),
     "verdicts": ("study", "Put synthetic effects in pools and identify them from logs."),
-    "wake": ("study", "Predict the speed over phase offset by the strokes' wakes."),
-    "water": ("study", "Judge theory's added mass and inertia by swims and recorded runs."),
+    "wake": ("study", "Predict the speed over phase offset with a wake model."),
+    "water": ("study", "Test theory about added mass and inertia on measurements."),
     "openloop": ("study", "Fit effects to some measured swims and predict the others."),
     "heldout": ("study", "Cross-validate: predict each run from all other runs."),
     "convergence": ("study", "Measure the error of the rods against their time step."),
@@ -59,7 +59,7 @@ STUDY_COMMANDS = {
 }
 SECTIONS: dict[str, dict[str, tuple[Any, str]]] = {
     "Start": {
-        "demo": ("start:demo", "Go once round the ring on the virtual chip and write a report."),
+        "demo": ("start:demo", "Run all stages once on the virtual chip and write a report."),
         "doctor": ("start:doctor", "Show what this machine has, and what to install for more."),
         "robot": (ROBOT_COMMANDS, "List and show robots, and write the file of a new one."),
     },
@@ -84,7 +84,7 @@ SECTIONS: dict[str, dict[str, tuple[Any, str]]] = {
         "import": ("log:import_", "Import recorded runs and repair or mark their faults."),
         "replay": ("log:replay", "Replay a run's fixes and compare each decision."),
         "identify": ("identify:identify", "Identify the physical effects that a robot's model lacks."),
-        "retune": ("identify:retune", "Make new tables for a worn robot."),
+        "retune": ("identify:retune", "Make a new table for a worn robot."),
     },
     "Research": {
         "parity": ("research:parity", "Check that Python, native C and the chip decide the same bits."),
@@ -102,7 +102,7 @@ COMMANDS = {name: command for section in SECTIONS.values() for name, command in 
 LONGER = {
     "camera": "Calibrate and check the camera over the pool, and track or print the robot's tag.",
 }
-"""What the help of a group itself says, where that is more than its line."""
+"""Help of a group itself, if it is longer than its line."""
 
 
 class LazyGroup(TyperGroup):

@@ -1,4 +1,4 @@
-"""``frogkick identify``: what a robot's model lacks; ``retune``: new tables for a robot that has changed."""
+"""``frogkick identify``: what a robot's model lacks; ``retune``: a new table for a robot that has changed."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _further_lines(outcome: Outcome) -> list[str]:
         lines.append(f"with the drift of each run estimated: {both}")
     if outcome.dropped:
         lines.append(
-            f"dropped, because the test runs are no likelier with them: {', '.join(outcome.dropped)}"
+            f"dropped, because the test runs are no more likely with them: {', '.join(outcome.dropped)}"
         )
     return lines
 
@@ -137,15 +137,15 @@ def retune(
     runs: Annotated[
         list[Path],
         typer.Argument(
-            help="The robot's last runs: logs, or recorded runs (.csv). The last one judges the result."
+            help="The robot's last runs: logs, or recorded runs (.csv). The last one is the test run."
         ),
     ],
     robot: Annotated[
         str,
-        "Robot TOML file or built-in name that the robot's tables were made from.",
+        "TOML file or built-in name that the robot's table was made from.",
         opt.With(names=opt.FILE),
     ],
-    out: Annotated[Path, "New folder for the robot's TOML file, library, tables and firmware."],
+    out: Annotated[Path, "New folder for the robot's TOML file, library, table and firmware."],
     tables: Annotated[
         Path | None, "Table image that the robot carries (.fkt), to compare with; default: made from --robot."
     ] = None,
@@ -155,8 +155,8 @@ def retune(
     workers: opt.Workers = 0,
     push: Annotated[
         str | None,
-        "Send the new tables, if they are better, to ble:NAME, serial:PORT or virtual. The robot keeps the "
-        "old ones.",
+        "Send the new table, if it is better, to ble:NAME, serial:PORT or virtual. The robot keeps the old "
+        "one.",
         opt.With(metavar="TARGET"),
     ] = None,
     key: opt.Key = None,
@@ -164,9 +164,9 @@ def retune(
     seed: opt.Seed = 0,
     json: opt.Json = False,
 ) -> None:
-    """Make new tables for a worn robot.
+    """Make a new table for a worn robot.
 
-    The exit code is 1 if they are no better on held-out periods, or if the runs are too short.
+    The exit code is 1 if it is no better on held-out periods, or if the runs are too short.
     """
     from frogkick.front.retuning import TABLES, retune
 
@@ -174,7 +174,7 @@ def retune(
     show(made.as_json(), json, printed(made, push))
     if made.not_pushed is not None:
         raise InputError(
-            f"the new tables are made but were not sent: {made.not_pushed}; then send them by 'frogkick push "
+            f"the new table was made but not sent: {made.not_pushed}; then send it with 'frogkick push "
             f"{out / TABLES} --robot {push}'"
         ) from made.not_pushed
     if made.reason and not made.done:
@@ -184,33 +184,33 @@ def retune(
 
 
 def printed(made: Retuning, push: str | None = None) -> str:
-    """Return the result as text for people; ``push`` is the robot that the tables were sent to."""
+    """Return the result as text for people; ``push`` is the robot that the table was sent to."""
     lines = [f"verdict: {made.outcome.verdict}", f"held out: {made.held_out}"]
     lines += _effect_lines(made.outcome)
     for name, error in (("old", made.before), ("new", made.after)):
         if error.count:
-            lines.append(f"{name} tables: {error} RMS one period ahead ({error.count} periods)")
+            lines.append(f"{name} table: {error} RMS one period ahead ({error.count} periods)")
     if made.loop is not None:
         for name, tracked in zip(("old", "new"), made.loop, strict=True):
             lines.append(
-                f"{name} tables in closed loop, in a simulated pool with the identified effects: "
+                f"{name} table in closed loop, in a simulated pool with the identified effects: "
                 f"{1e3 * tracked.mean_distance_m:.1f} mm from the path, "
                 f"{1e3 * tracked.progress_mps:.1f} mm/s along it, "
                 f"{tracked.completed} of {tracked.runs} runs completed"
             )
     if made.lost is not None:
-        lines.append(f"no table can hold: {', '.join(made.lost.effects)}")
+        lines.append(f"no table can contain: {', '.join(made.lost.effects)}")
         apart = (1e3 * each.mean_distance_m for each in (made.lost.with_them, made.lost.without))
         lines.append(
-            "the robot's tables in closed loop: {:.1f} mm from the path with that in the pool, {:.1f} mm "
-            "without it".format(*apart)
+            "the robot's table in closed loop: {:.1f} mm from the path with these in the pool, {:.1f} mm "
+            "without them".format(*apart)
         )
-    lines += [f"tables, {horizon_line(each)}" for each in made.horizons if each.periods > 1]
+    lines += [f"table, {horizon_line(each)}" for each in made.horizons if each.periods > 1]
     if made.done and made.reason:
         lines.append(made.reason)
     if made.better and made.tables is not None:
-        lines.append(f"new tables: {made.tables['file']}, firmware: {made.out / 'firmware'}")
-        lines.append(f"old tables, to return to: {made.out / 'before.fkt'}")
+        lines.append(f"new table: {made.tables['file']}, firmware: {made.out / 'firmware'}")
+        lines.append(f"old table, to return to: {made.out / 'before.fkt'}")
     if push is not None and made.pushed is not None:
         lines.append(text_of(made.pushed, push))
     return "\n".join(lines)

@@ -88,7 +88,9 @@ def export(
 ) -> None:
     """Export a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
     if csv == mcap:
-        raise InputError("give either --csv (a folder of files) or --mcap (one file)")
+        raise InputError(
+            "--csv, --mcap: give exactly one, --csv for a folder of files or --mcap for one file"
+        )
     require_writable(out, folder=csv)
     log = fk.load_run(run)
     if csv:

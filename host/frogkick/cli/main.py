@@ -35,7 +35,7 @@ def run_command(arguments: list[str] | None = None) -> int:
         _complain(_INTERRUPTED)
         return INTERRUPTED
     except BrokenPipeError:
-        # Whoever read stdout has enough (head, less); the interpreter would complain again at its end.
+        # The reader of stdout (head, less) has closed it; the interpreter would report this again at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except CheckError as error:
@@ -124,7 +124,7 @@ def main() -> None:
         # A Ctrl-C that passed through exec of a text, as making a dataclass does, would make the interpreter
         # end by a signal instead of this exit code; exec of another text takes that back.
         exec("")
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is left is the interpreter's own end
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the interpreter's own shutdown remains
     except KeyboardInterrupt:  # before the command's first line or after its last
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         _complain(_INTERRUPTED)

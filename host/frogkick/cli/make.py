@@ -1,4 +1,4 @@
-"""What a robot carries: ``simulate``, ``library``, ``tables``, ``codegen`` and ``firmware`` make it."""
+"""``frogkick simulate``, ``library``, ``tables``, ``codegen``, ``firmware``: from the model to firmware."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def show_library(
     library: LibraryArgument,
     json: opt.Json = False,
 ) -> None:
-    """Show what a library holds."""
+    """Show the contents of a library."""
     from frogkick.front.tables import library_info
 
     # How long it took is not in the file, whose bytes do not depend on the machine.
@@ -203,7 +203,7 @@ def show_table(
     seed: opt.Seed = 1,
     json: opt.Json = False,
 ) -> None:
-    """Check a table image, show what it holds, and measure its error on unseen states."""
+    """Check a table image, show its contents, and measure its error on unseen states."""
     from frogkick.front.tables import read_facts
 
     facts = read_facts(tables)
@@ -257,7 +257,7 @@ def measure_firmware(
 ) -> None:
     """Measure flash, RAM and stack of the bench image.
 
-    The stack is measured on the virtual chip; its proved bound stands beside it.
+    The stack is measured on the virtual chip, and an upper bound over all paths of the machine code is given.
     """
     from frogkick.front.building import sizes_of, try_firmware
 

@@ -58,8 +58,8 @@ Model = Annotated[
 ]
 Laws = Annotated[
     bool,
-    "If the catalogue leaves more than noise, search formulas as well: springs, sloshing, limbs that break "
-    "or depend on the heading. With --no-laws the search ends with the catalogue.",
+    "If residuals above the noise remain with the catalogue, search formulas as well: springs, sloshing, "
+    "limbs that break or depend on the heading. With --no-laws the search ends with the catalogue.",
 ]
 Nominal = Annotated[
     str | None,
@@ -80,7 +80,7 @@ def call(function: Callable[..., Found], options: Mapping[str, Any], **others: A
     Args:
         function: an option is given to its parameter of the same name.
         options: the ``locals()`` of the command.
-        others: parameters that no option gives as it stands.
+        others: parameters that are not simply the value of an option.
     """
     known = inspect.signature(function).parameters.keys() & options.keys()
     given = {name: options[name] for name in known}

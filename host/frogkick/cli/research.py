@@ -1,4 +1,4 @@
-"""The model and the bits put to the test: ``frogkick parity``, ``validate`` and ``sweep``."""
+"""``frogkick parity``, ``validate`` and ``sweep``: tests of the bits and of the model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def parity(
     states: Annotated[int, "Number of states for Python and native C.", opt.With(10, 10_000_000)] = 100_000,
     chip_states: Annotated[
         int | None,
-        "How many of the states the virtual chip decides too.  [default: all]",
+        "How many of the states the virtual chip decides as well.  [default: all]",
         opt.With(0, 10_000_000),
     ] = None,
     loop_decisions: Annotated[
@@ -79,7 +79,7 @@ def _compared(result: dict[str, Any]) -> str:
             for part in result["left_out"]["parts"]
         ]
         lines += [
-            f"{group}, each fraction left out: speed RMSE {1e3 * rmse:.2f} mm/s, within a cycle "
+            f"{group}, each fraction held out: speed RMSE {1e3 * rmse:.2f} mm/s, within a cycle "
             f"{result['left_out']['within_cycle_rms_mm'][group]:.2f} mm RMS"
             for group, rmse in result["left_out"]["rmse_mps"].items()
         ]
@@ -94,10 +94,10 @@ def validate(
     robot: opt.RobotFile = "frog2022",
     report: Annotated[Path | None, "HTML report to write."] = None,
     left_out: Annotated[
-        bool, "Match the robot's constants again without each EGaIn fraction; this takes minutes."
+        bool, "Match the robot's constants again with each EGaIn fraction held out; this takes minutes."
     ] = False,
     workers: opt.Workers = 0,
-    check: Annotated[bool, typer.Option(help="Exit with code 1 if a limit is missed.")] = False,
+    check: Annotated[bool, typer.Option(help="Exit with code 1 if a limit is exceeded.")] = False,
     json: opt.Json = False,
 ) -> None:
     """Compare the model with every simulation and measured swim of a data folder.

@@ -61,7 +61,7 @@ def serve_pool(
     ] = None,
     flash: Annotated[
         Path | None,
-        "File that keeps the robot's flash: tables and owner's key. It is read first if it is there.",
+        "File of the robot's flash: tables and owner's key. It is read first if it exists.",
     ] = None,
     line: Annotated[
         Path | None, "Name for the serial port, made as a link; default: the system's name."
@@ -73,7 +73,7 @@ def serve_pool(
     """Serve a simulated robot in real time: a serial port for --robot, and a camera's pictures for --source.
 
     It stands in for a robot in water in all commands that talk with one, until Ctrl-C. The pictures show the
-    pool with the robot's tag; they are rendered only while somebody looks. Lines on standard input change
+    pool with the robot's tag; they are rendered only while they are watched. Lines on standard input change
     what happens: put [X,Y,DEG], hide, show, mirror, unplug, plug, restart. Windows has no pseudo-terminals,
     which the serial port needs.
     """

@@ -113,24 +113,24 @@ def run(
     then: Annotated[
         list[str] | None,
         "A path that takes over without a stop: PATH@SECONDS, seconds after the first decision. The robot "
-        "goes on where it is nearest to it. With @here behind it the path begins where the robot is. May be "
-        "given several times.",
+        "continues at the nearest point of the new path. With @here behind it the path begins at the robot. "
+        "May be given several times.",
     ] = None,
     hold: Annotated[
         bool,
-        "At the path's end circle it, within 100 mm if the robot turns tightly enough, until a path of "
+        "Circle the end of the path, within 100 mm if the robot turns tightly enough, until a path of "
         "--then takes over, --simulated-time is over, or the run is stopped.",
     ] = False,
     planner: opt.Planner = opt.PlannerName.robot,
     depth: opt.Depth = None,
     learn: Annotated[
         bool,
-        "Learn while swimming what each limb has lost, and plan with it. A robot goes on from what it "
-        "knows; a run without --learn makes it forget.",
+        "Estimate the wear of each limb during the run, and plan with it. A robot continues from its "
+        "earlier estimate; a run without --learn makes it forget.",
     ] = False,
     inside: Annotated[
         str | None,
-        "Walls to keep away from: X,Y,X,Y in m of two opposite corners of the pool, or pool: those of the "
+        "Walls to keep off: X,Y,X,Y in m of two opposite corners of the pool, or pool: those of the "
         "calibration that --fixes gives.",
     ] = None,
     tables: opt.Tables = None,
@@ -175,8 +175,8 @@ def run(
 
     At a terminal, Enter arms a real robot and any key stops the run. The robot is disarmed however the run
     ends. The exit code is 1 if a limit of the guard was broken, if robot and host decided differently (--plan
-    both), if the robot made no progress along its path, if it could not follow it for want of a limb (with
-    --learn), or if the run was cut short: position fixes were lost, the robot's supply fell too low, it
+    both), if the robot made no progress along its path, if it could not follow it because a limb is lost
+    (with --learn), or if the run was cut short: position fixes were lost, the robot's supply fell too low, it
     disarmed itself, or the connection was lost.
     """
 
@@ -203,16 +203,16 @@ def run(
             "where the robot is, and that it leads where the robot can go"
         )
     from frogkick.front.bench import UNFINISHED
-    from frogkick.front.courses import held, not_reached
-    from frogkick.front.run_progress import lacks_a_limb, tight_path
+    from frogkick.front.mission import hold_report, missed_paths_report
+    from frogkick.front.run_progress import lost_limb_advice, tight_path_advice
 
-    if lacks := lacks_a_limb(found.ended):
+    if lacks := lost_limb_advice(found.ended):
         say(lacks)
-    elif tight := tight_path(found, found.tracking):
+    elif tight := tight_path_advice(found, found.tracking):
         say(tight)
-    if said := held(found.as_json()["hold"], hold):
+    if said := hold_report(found.as_json()["hold"], hold):
         say(said)
-    if lacking := not_reached(len(then or ()), found.log):
+    if lacking := missed_paths_report(len(then or ()), found.log):
         say(lacking)
     if found.ended in UNFINISHED:
         say(f"the path was not completed, as {UNFINISHED[found.ended]}")

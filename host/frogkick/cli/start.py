@@ -1,4 +1,4 @@
-"""``frogkick demo``: once round the ring; ``doctor``: what this machine has; ``robot``: their files."""
+"""``frogkick demo``: all stages once; ``doctor``: the tools of this machine; ``robot``: robot files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from frogkick.report.style import write_picture
 
 if TYPE_CHECKING:
     from frogkick.front.readiness import Finding
-    from frogkick.front.ring import Closing
+    from frogkick.front.ring import Adaptation
 
 
 def demo(
@@ -31,9 +31,9 @@ def demo(
     seed: opt.Seed = 0,
     json: opt.Json = False,
 ) -> None:
-    """Simulate, make tables, build the firmware and swim on the virtual chip.
+    """Simulate a robot, make its table, build the firmware, and follow paths on the virtual chip.
 
-    Then a limb is worn, the wear is identified from the runs, and new tables are made and tried.
+    Then a limb is worn, the wear is identified from the runs, and a new table is made and tested.
     """
     from frogkick.front.ring import demonstrate
 
@@ -45,26 +45,26 @@ def demo(
         f"{path['mismatches']} mismatches between chip and twin"
         for name, path in values["paths"].items()
     ]
-    if ring.closing is not None:
-        lines += _closing_lines(ring.closing)
+    if ring.adaptation is not None:
+        lines += _adaptation_lines(ring.adaptation)
     show(values, json, "\n".join([*lines, f"report: {report.resolve()}"]), passed=ring.passed)
 
 
-def _closing_lines(closing: Closing) -> list[str]:
-    tested, found = closing.outcome.tested, [term.title for term in closing.outcome.terms]
-    hidden = ", ".join(str(value) for value in closing.planted.values())
+def _adaptation_lines(adaptation: Adaptation) -> list[str]:
+    tested, found = adaptation.outcome.tested, [term.title for term in adaptation.outcome.terms]
+    hidden = ", ".join(str(value) for value in adaptation.true_effect.values())
     lines = [
-        f"hidden effect: {hidden}; verdict: {closing.outcome.verdict} ({', '.join(found) or 'no effect'})"
+        f"hidden effect: {hidden}; verdict: {adaptation.outcome.verdict} ({', '.join(found) or 'no effect'})"
     ]
     lines += [
         f"{name:8s} {error} RMS one period ahead on the test run"
         for name, error in (("before", tested.before), ("after", tested.after), ("noise", tested.noise_floor))
     ]
-    if closing.new:
+    if adaptation.new:
         lines.append(
-            f"worn robot: {1e3 * closing.distance_m(closing.old):.1f} mm from its paths with the old "
-            f"firmware, {1e3 * closing.distance_m(closing.learned):.1f} mm with it while it learned, "
-            f"{1e3 * closing.distance_m(closing.new):.1f} mm with the new"
+            f"worn robot: {1e3 * adaptation.distance_m(adaptation.old):.1f} mm from its paths with the old "
+            f"firmware, {1e3 * adaptation.distance_m(adaptation.learned):.1f} mm with it and --learn, "
+            f"{1e3 * adaptation.distance_m(adaptation.new):.1f} mm with the new firmware"
         )
     return lines
 

@@ -1,6 +1,6 @@
-"""``frogkick study``: runs a study by its configuration and shows its result.
+"""``frogkick study``: runs a study with its configuration and shows its result.
 
-Studies come with a clone of the project, beside the package, and not with the wheel.
+Studies are part of a clone of the project, next to the package, and not of the wheel.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What stands behind ``import frogkick as fk`` and below the commands: objects in memory, one call a task."""
+"""The public functions of ``import frogkick as fk``, which the commands call as well, one for each task."""

@@ -15,7 +15,7 @@ from typing import Protocol
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
-from frogkick.front.courses import require_room
+from frogkick.front.mission import require_room
 from frogkick.front.places import built_firmware, start_pose
 from frogkick.front.run_progress import SLOW_S
 from frogkick.front.viewing import viewed
@@ -62,14 +62,14 @@ STDIN = "stdin"
 POOL = "pool"
 
 
-def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
-    """Raise InputError for a video without a camera, or without a log beside which it is kept."""
+def require_video(video: bool, fixes: str | None, out: Path | None) -> None:
+    """Raise InputError for a video without a camera, or without a log next to which it is written."""
     if video and (fixes is None or fixes in (STDIN, POOL)):
         raise InputError(
             "--video records a camera's pictures, but this run has no camera: give --fixes camera.toml"
         )
     if video and out is None:
-        raise InputError("--video is written beside the log: give --out run.h5")
+        raise InputError("--video is written next to the log: give --out run.h5")
 
 
 def require_bench(
@@ -123,9 +123,9 @@ def require_bench(
 def placed(
     path: SwimPath, then: Sequence[NextPath], begin: str | None, pose_world: Sequence[float]
 ) -> tuple[SwimPath, tuple[NextPath, ...]]:
-    """Return a path, moved to its beginning (see ``Bench``), and the paths after it, moved as it is.
+    """Return a path, moved to its beginning (see ``Bench``), and the later paths, moved likewise.
 
-    ``pose_world`` is the robot's.
+    ``pose_world`` is the robot's pose.
     """
     if begin is None:
         return path, tuple(then)
@@ -194,22 +194,23 @@ def no_operator(_stdin_is_taken: bool) -> AbstractContextManager[Operator]:
 
 @dataclass(frozen=True)
 class Bench:
-    """A real robot, the source of its position fixes, and what a person knows of it.
+    """A real robot, the source of its position fixes, and what its operator has measured.
 
     Attributes:
         name: its address: ble:NAME or serial:PORT.
         fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
         source: camera number, network camera's address, video file or folder of pictures.
-        begin: ``x_m,y_m,deg`` where the path begins, ``here`` for the robot's place, None for the path's own.
+        begin: ``x_m,y_m,deg`` where the path shall begin, ``here`` for the robot's pose, None for the path's
+            own.
         rate_hz, world, seed: of a simulated pool: fixes per second, its true effects, its camera's noise.
         dialect: its protocol.
         battery_v: voltage of its lowest battery, measured with a meter; None: not measured.
-        out: the log that grows while the robot swims; None: none is written.
-        film: the camera's pictures are recorded beside it.
+        out: the log, which is written during the run; None: none is written.
+        film: the camera's pictures are recorded next to it.
         operator: the person who is asked before arming and may stop the run.
         wire: an open link to the robot; None: a link is opened, and closed after the run.
         key: file of its owner's key; None: the user's own.
-        drawn: a page shows the run and what the planner expects.
+        drawn: a page shows the run and the planner's predictions.
         stop: called by the page's button.
     """
 
@@ -260,7 +261,7 @@ class Bench:
 
 
 def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: bool) -> None:
-    """Compile what the host computes in a run before the robot is armed: it would delay fixes for minutes."""
+    """Compile the host's planner before the robot is armed; later it would delay fixes for minutes."""
     slow = threading.Timer(SLOW_S, tell_line, ["compiling the host's planner (once; a minute or two)"])
     slow.daemon = True
     slow.start()

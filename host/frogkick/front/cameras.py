@@ -104,7 +104,7 @@ def calibrate_camera(
     """
     if (corners is None) == (plane_picture is None):
         raise InputError(
-            "give either the pool's corners (--corners) or a picture of the board (--plane-picture)"
+            "--corners and --plane-picture: give exactly one, the pool's corners or a picture of the board"
         )
     if not 0.05 <= min(pool_m) <= max(pool_m) <= 100.0:
         raise InputError(
@@ -125,7 +125,8 @@ def calibrate_camera(
         seen = (found[0][1].shape[1], found[0][1].shape[0])
         if image_px is not None and image_px != seen:
             raise InputError(
-                f"--image {image_px[0]}x{image_px[1]} is not the pictures' size, {seen[0]}x{seen[1]}"
+                f"--image is {image_px[0]}x{image_px[1]}, but the pictures have {seen[0]}x{seen[1]} px: "
+                "give their size"
             )
         image_px = seen
     if plane_picture is not None:

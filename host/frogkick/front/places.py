@@ -60,7 +60,7 @@ def simulated_robot(
     """Return a simulated robot: "virtual" (image on the virtual chip) or "pool" (core on this computer).
 
     ``meanwhile`` is called while the compiler runs in another process, so that a second core is used.
-    ``learned`` is what the robot kept of its limbs' wear (``kept_wear``).
+    ``learned`` is the robot's persistent wear estimate (``kept_wear``).
     """
     require_simulator(name)
     with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:

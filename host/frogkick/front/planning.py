@@ -21,7 +21,7 @@ HEADING_MAX_RAD = 4.0 * np.pi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A decision and its whole branch.
+    """A decision, and the branch of the search tree that it begins.
 
     Attributes:
         action: name of the action to do now.
@@ -29,7 +29,7 @@ class Plan:
         actions: names along the branch; the first one is ``action``.
         predicted_pose: (depth, 3) x, y (m), heading (rad), world frame, after each action.
         distance_m: distance of the state from the path.
-        along_points: position of the state along the path, in points; give it to the next call.
+        along_points: position of the state along the path, in points; pass it to the next call.
     """
 
     action: str
@@ -45,7 +45,9 @@ class Plan:
 
 @typed
 class Planner:
-    """Receding-horizon search over a table, with the same bits as the C code on the robot.
+    """Receding-horizon planner over a table, with the same bits as the C code on the robot.
+
+    The search is depth-limited branch and bound.
 
     Source: Huang et al. 2022, Algorithm 1.
     """

@@ -27,18 +27,18 @@ from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import config_of
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import swim
+from frogkick.runs.closed_loop import run_in_pool
 from frogkick.runs.record import RunOptions
 from frogkick.runs.runlog import Tracking
 from frogkick.tables.image import open_image, read_image
 from frogkick_codegen.firmware import build
 
 LOOP_PATHS, LOOP_SEEDS, LOOP_LIMIT_S = tuple(SHAPES), 2, 90.0
-"""The paths that tables are tried on in closed loop, how often each, and for how long at most."""
+"""The paths on which tables are tested in closed loop, the runs along each, and their time limit."""
 
 EARLIER = 8  # number of earlier actions that a look-up takes
 RESTED = -1  # in place of an earlier action: there was none (as in libraries)
-PERIOD_OFF = 0.1  # a run's period may differ by this share from the one that tables are made for
+PERIOD_OFF = 0.1  # largest relative difference of a run's period from the table's
 
 _RNG = np.random.default_rng(0)
 
@@ -55,12 +55,12 @@ class Tracked:
 
 @dataclass(frozen=True)
 class Lost:
-    """What is lost because no table can hold some effects: those of place, heading or time, water or camera.
+    """The cost of effects that no table can contain (of position, heading, time, water or camera).
 
     Attributes:
         effects: their titles.
-        with_them, without: the tables that the robot has after the retune in closed loop, in a pool with all
-            effects found and in one without these.
+        with_them, without: closed-loop performance of the table that the robot has after the retune, in a
+            pool with all identified effects and in one without these.
     """
 
     effects: tuple[str, ...]
@@ -78,14 +78,14 @@ class Lost:
 
 @dataclass(frozen=True)
 class TableMaker:
-    """Makes tables from libraries of ``count`` states, tries them and builds firmware with them."""
+    """Makes tables of libraries of ``count`` states, tests them in closed loop, builds firmware with them."""
 
     count: int
     seed: int
     workers: int
 
     def __post_init__(self) -> None:
-        # Here, because the identification before it takes minutes.
+        # Checked here, because the identification before its use takes minutes.
         require_draw(self.count, self.seed)
         if self.count < WHOLE_MIN:
             raise InputError(f"states is {self.count}: give {WHOLE_MIN} or more, as many as a table takes")
@@ -116,7 +116,7 @@ class TableMaker:
             for name, seed in product(LOOP_PATHS, range(LOOP_SEEDS)):
                 progress(len(numbers), whole)
                 port, world = NativeRobot(built.image, len(robot.limbs)), World(effects_of(robot))
-                swum = swim(port, opened, robot, shape(name), options, [seed, 7], "trial", world)
+                swum = run_in_pool(port, opened, robot, shape(name), options, [seed, 7], "trial", world)
                 numbers.append(swum.tracking())
         progress(whole, whole)
         return Tracked(
@@ -135,9 +135,9 @@ class TableMaker:
 def table_error(tools: TableMaker, image: bytes, outcome: Outcome, periods: int = 1) -> PredictionError:
     """Error of a table some periods ahead on the test runs, from the start of each period.
 
-    Old and new tables start from the same states, the best that are known: those of the fitted rods. Their
-    poses are those that the camera shows, as the robot will receive them. Further periods start from the
-    table's own prediction.
+    Old and new tables start from the same states, those of the fitted rods, which are the best estimate.
+    Their poses are those that the camera shows, as the robot will receive them. Further periods start from
+    the table's own prediction.
     """
     effects = [term.effect().likeliest() for term in outcome.terms]
     gaps = [
@@ -148,7 +148,7 @@ def table_error(tools: TableMaker, image: bytes, outcome: Outcome, periods: int 
 
 
 def table_horizons(tools: TableMaker, old: bytes, new: bytes, outcome: Outcome) -> list[Horizon]:
-    """Errors of two tables by horizon, without horizons that no run is long enough for."""
+    """Errors of two tables by horizon, without horizons for which no run is long enough."""
     every = [
         Horizon(periods, *(table_error(tools, image, outcome, periods) for image in (old, new)))
         for periods in HORIZONS
@@ -161,7 +161,7 @@ def _gaps(
 ) -> Float64:
     """(m, 3) measured minus looked-up pose so many periods after each start; NaN if unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
-    # Periods that were cut short or lengthened are excluded: tables do not know of them.
+    # Periods that were cut short or lengthened are excluded, because a table has one period.
     whole = (swim.action >= 0) & (np.abs((swim.end_s - swim.start_s) / swim.period_s - 1.0) < PERIOD_OFF)
     follows = np.append(np.abs(swim.start_s[1:] - swim.end_s[:-1]) < 1e-6, False)
     known = np.isfinite(rollout.start).all(axis=1) & whole
@@ -189,7 +189,7 @@ def _gaps(
 
 
 def _shown(effects: Sequence[Effect], time_s: float, pose: Float64) -> tuple[float, float, float]:
-    """A pose as the camera shows it."""
+    """A pose as the camera measures it, with the effects on its fixes."""
     seen = Fix(time_s, 0.0, *(float(value) for value in pose))
     for effect in effects:
         seen = effect.fix(seen, _RNG) or seen

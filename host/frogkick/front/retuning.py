@@ -1,4 +1,4 @@
-"""New tables for a worn robot, made from its last runs and sent to it if they are better."""
+"""A new table for a worn robot, made from its last runs and sent to it if it is better."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ __all__ = ["BEFORE", "STATES", "TABLES", "Pushed", "Retuning", "retune"]
 STATES = 800
 
 BETTER = 0.98
-"""The error of new tables must be at most this share of the old ones', in position or in heading."""
+"""The error of the new table must be at most this share of the old one's, in position or in heading."""
 
-HELD_OUT_MIN = 5  # minimum of held-out periods with a measured end
+HELD_OUT_MIN = 5  # minimum number of held-out periods with a measured end
 HELD_SHARE = 1.0 / 3.0  # share of a single run's periods, its last ones, that is held out
 
 ROBOT, LIBRARY, TABLES = "robot.toml", "library.h5", "tables.fkt"
@@ -52,21 +52,20 @@ class Retuning:
 
     Attributes:
         outcome: the identification: its verdict and its effects.
-        before, after: prediction errors of the old and the new tables one period ahead on held-out periods;
-            NaN if no tables were made.
-        better: whether the new tables predict better; otherwise the robot keeps its old ones.
-        reason: the reason why the old tables stay; "" if they do not.
+        before, after: prediction errors of the old and the new table one period ahead on held-out periods;
+            NaN if no table was made.
+        better: whether the new table predicts better; otherwise the robot keeps its old one.
+        reason: why the robot keeps its old table; "" if it does not.
         held_out: what was held out, in words.
         out: folder of the results; see ``retune``.
-        tables: path, bytes and states of the new tables, refused ones too; None if none were made.
+        tables: path, bytes and states of the new table, also of a refused one; None if none was made.
         firmware: sizes of the image; None if none was made.
-        loop: the old and the new tables in closed loop, in a pool with what was found; None if none were
-            made.
-        horizons: errors of the old and the new tables by horizon.
-        lost: effects that were found and that no table can hold, and what that costs; None if there are
-            none.
+        loop: the old and the new table in closed loop, in a pool with the identified effects; None without a
+            new table.
+        horizons: errors of the old and the new table by horizon.
+        lost: identified effects that no table can contain, and their cost; None if there are none.
         left_out: runs that were not used: ``run`` and ``reason`` of each.
-        pushed: the tables of the robot after sending, if they were sent.
+        pushed: the robot's tables after sending, if the new one was sent.
         not_pushed: the error that prevented sending, or None.
     """
 
@@ -88,7 +87,7 @@ class Retuning:
 
     @property
     def done(self) -> bool:
-        """Whether the tables are right now: better new ones, or old ones that lack nothing."""
+        """Whether the robot now has a good table: a better new one, or an old one that lacks nothing."""
         return self.better or self.outcome.verdict == NOTHING
 
     @property
@@ -96,7 +95,7 @@ class Retuning:
         """The robot with the identified effects, as in ``out``.
 
         Raises:
-            InputError: no tables were made.
+            InputError: no table was made.
         """
         return load_robot(self.out / ROBOT)
 
@@ -126,7 +125,7 @@ class Retuning:
     def __repr__(self) -> str:
         names = ", ".join(term.title for term in self.outcome.terms) or "no effect"
         errors = " / ".join(f"{1e3 * error.position_rmse_m:.2f}" for error in (self.before, self.after))
-        kept = "new tables" if self.better else "old tables stay"
+        kept = "new table" if self.better else "the old table is kept"
         return f"Retuning({self.outcome.verdict}: {names}; {kept}; old / new {errors} mm)"
 
     def _repr_html_(self) -> str:
@@ -149,26 +148,26 @@ def retune(
     progress: Progress = False,
     laws: bool = True,
 ) -> Retuning:
-    """Identify what a model lacks, make tables with it, and keep them if they predict better.
+    """Identify what a model lacks, make a table with it, and keep the table if it predicts better.
 
     Args:
         runs: the robot's last runs in the order of their dates. The last run is the test run; of a single run
             the last third is.
-        robot: the robot that its tables were made from, its name or its TOML file.
-        out: folder, new or empty, for ``robot.toml``, ``library.h5``, ``before.fkt`` (the old tables), and
-            ``tables.fkt`` with ``firmware``, or ``refused.fkt`` if these are no better. The folder is made
-            only if tables are made.
+        robot: the robot that its table was made from, its name or its TOML file.
+        out: folder, new or empty, for ``robot.toml``, ``library.h5``, ``before.fkt`` (the old table), and
+            ``tables.fkt`` with ``firmware``, or ``refused.fkt`` if the new table is no better. The folder is
+            made only if a table is made.
         table: the table that the robot carries, or its file, to compare with; None: made like the new one,
             without effects.
         states: number of states of the simulated libraries, 46 to 65535.
         workers: number of processes; None: one for each core.
-        push: ``ble:NAME``, ``serial:PORT`` or ``virtual``, where better tables are sent; None: nowhere.
+        push: ``ble:NAME``, ``serial:PORT`` or ``virtual``, where a better table is sent; None: nowhere.
         key: key file of that robot's owner, if it has one; None: the user's own, see ``connect``.
         seed: seed of the libraries' sampling.
         left_out: called before the work with the runs that are not used.
         progress: True for bars on stderr, or a function of (done, all) of each stage.
-        laws: search formulas as well, see ``identify``. Those that hang on place, heading or time cannot go
-            into a table; ``lost`` says which, and what that costs.
+        laws: search formulas as well, see ``identify``. Those that depend on position, heading or time cannot
+            go into a table; ``lost`` names them and their cost.
 
     Raises:
         InputError: runs of several robots or of another period, a folder ``out`` that is not empty, tables of
@@ -219,7 +218,7 @@ def retuned(
     old: bytes | None = None,
     laws: bool = False,
 ) -> Retuning:
-    """Retune by runs that were read. The folder ``out`` is made with all its files or not at all."""
+    """Retune from runs that have been read. The folder ``out`` is made with all its files or not at all."""
     _check_periods(swims, robot)
     train, test, held_out = split(swims)
     with in_stages(stage, "identify") as tell:
@@ -243,7 +242,9 @@ def retuned(
         write_bytes(made / name, new)
         loop = []
         for file, which in ((made / BEFORE, "old"), (made / name, "new")):
-            with stage(f"paths followed with the {which} tables, by a simulated robot like this") as progress:
+            with stage(
+                f"paths followed with the {which} table, in a pool with the identified effects"
+            ) as progress:
                 loop.append(tools.tracked(file, worn, progress))
         lost = _lost(outcome, worn, tools, stage, new if better else old, loop[1 if better else 0])
         firmware = None
@@ -275,7 +276,7 @@ def _lost(
     image: bytes | None,
     all_in: Tracked | None = None,
 ) -> Lost | None:
-    """What no table can hold of what was found, and what that costs the tables that the robot will have.
+    """The identified effects that no table can contain, and their cost with the robot's next table.
 
     Args:
         image: of the tables; None: they are made as new ones are, without effects.
@@ -300,7 +301,7 @@ def _lost(
 
 
 def require_new(out: Path) -> None:
-    """Refuse a folder that holds something: old tables must stay what they are."""
+    """Refuse a folder that is not empty, because tables in it must not be overwritten."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"--out {str(out)!r} is not empty: name a new folder")
 
@@ -325,7 +326,7 @@ def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], st
 
 
 def is_better(before: PredictionError, after: PredictionError) -> bool:
-    """Whether neither position nor heading is worse and one of them is clearly better."""
+    """Whether neither position nor heading error is larger, and one of them is clearly smaller."""
     pairs = list(zip(before.pair, after.pair, strict=True))
     return (
         after.count >= HELD_OUT_MIN
@@ -335,33 +336,36 @@ def is_better(before: PredictionError, after: PredictionError) -> bool:
 
 
 def _why_no_tables(outcome: Outcome, single: bool) -> str:
-    """Why no tables are to be made; "" if they are."""
+    """Why no table is made; "" if one is."""
     if outcome.verdict == TOO_LITTLE:
         return outcome.reason + (", a third of a single run is held out" if single else "")
     if outcome.verdict == NOTHING:
-        return "the tables' robot explains these runs: the old tables stay"
+        return "the robot's model explains these runs: the robot keeps its old table"
     if not outcome.terms:
-        return "no known effect explains what these runs show: the old tables stay (see identify --report)"
+        return "no known effect explains these runs: the robot keeps its old table (see identify --report)"
     judged = sum(int(np.isfinite(swim.measured).all(axis=1).sum()) for swim in outcome.test)
     if judged < HELD_OUT_MIN:
-        return f"{judged} held-out periods with fixes, needed are {HELD_OUT_MIN}: record a longer last run"
+        return f"{judged} held-out periods have fixes, {HELD_OUT_MIN} are needed: record a longer last run"
     if not any(term.effect().in_tables for term in outcome.terms):
         names = ", ".join(term.title for term in outcome.terms)
         return (
-            f"what was found ({names}) is in the camera or the water or hangs on place, heading or time, "
-            "tables cannot know it: the old stay"
+            f"no table can contain what was found ({names}), as it is in the camera or the water or depends "
+            "on position, heading or time: the robot keeps its old table"
         )
     return ""
 
 
 def _no_better(before: PredictionError, after: PredictionError) -> str:
     if after.count < HELD_OUT_MIN:
-        return f"the tables could be judged on {after.count} held-out periods, needed are {HELD_OUT_MIN}"
-    return f"the new tables are no better on held-out periods: {after} after {before}; the old ones stay"
+        return f"the tables could be compared on {after.count} held-out periods: {HELD_OUT_MIN} are needed"
+    return (
+        f"the new table is no better on held-out periods ({before} with the old one, {after} with the new "
+        "one): the robot keeps its old table"
+    )
 
 
 def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:
-    """Refuse no runs, a last one without a whole period, and another period than the tables will have."""
+    """Refuse no runs, a last run without a whole period, and a period other than the new table's."""
     if not swims:
         raise InputError("no runs: give the robot's last logs")
     for swim in swims:

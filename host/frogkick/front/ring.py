@@ -1,4 +1,4 @@
-"""Once round the ring: library, table, firmware, paths on the virtual chip, and a worn limb identified."""
+"""All stages once: library, table, firmware, paths on the virtual chip, and a worn limb identified."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import require_tools
 
 if TYPE_CHECKING:
-    from frogkick.ring import Closing, Ring
+    from frogkick.ring import Adaptation, Ring
 
-__all__ = ["Closing", "Ring", "demonstrate"]
+__all__ = ["Adaptation", "Ring", "demonstrate"]
 
 
 def demonstrate(
@@ -40,14 +40,14 @@ def demonstrate(
     # The modules below cannot be loaded without the extra.
     from frogkick.report.identify_page import write_identify_page
     from frogkick.report.ring_page import write_ring_report
-    from frogkick.ring import close, go_round
+    from frogkick.ring import adapt, run_demo
 
     bar = partial(shown, progress)
     levels = plan_config(described, "robot", depth).depth
-    ring = go_round(described, folder, STATES if states is None else states, levels, seed, bar)
-    close(ring, folder, seed, bar)
-    assert ring.closing is not None
+    ring = run_demo(described, folder, STATES if states is None else states, levels, seed, bar)
+    adapt(ring, folder, seed, bar)
+    assert ring.adaptation is not None
     report = folder / "report.html"
-    write_identify_page(folder / "identify.html", ring.closing.outcome)
+    write_identify_page(folder / "identify.html", ring.adaptation.outcome)
     write_ring_report(report, ring)
     return ring, report

@@ -1,4 +1,4 @@
-"""What a run says in the terminal: progress, why its path was missed, where its log is if it breaks off."""
+"""Messages of a run in the terminal: progress, causes of a large distance, the log after an abort."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from frogkick.runs.summary import bends_of
 
 SLOW_S = 2.0
 FAR_M = 0.01
-"""From such a mean distance on, people ask why."""
+"""The cause is explained from this mean distance on."""
 
 
-def lacks_a_limb(ended: str) -> str:
-    """Advice where a run ended for want of a limb; "" where it did not."""
+def lost_limb_advice(ended: str) -> str:
+    """Advice if a run ended because a limb was lost; "" if it did not."""
     if not ended.startswith(CANNOT_FOLLOW):
         return ""
     return f"the robot {ended}: repair the limb, or give a path that turns the other way"
 
 
-def tight_path(log: RunLog, tracked: Tracking) -> str:
+def tight_path_advice(log: RunLog, tracked: Tracking) -> str:
     """Return a sentence on a path that bends more sharply than the robot turned; "" if it does not."""
     bends = bends_of(log, tracked.progress_mps)
     if bends is None or tracked.mean_distance_m < FAR_M or not bends.too_tight:
@@ -52,7 +52,7 @@ class RunProgress:
 
     @contextmanager
     def preparing(self) -> Iterator[None]:
-        """Show a note while the simulation and the core are compiled, which is done once and takes long."""
+        """Show a note while the simulation and the core are compiled, which takes long and is done once."""
         what = "preparing the simulation and the robot's core (compiled on first use)"
         slow = threading.Timer(SLOW_S, lambda: self._tell(0, self._points, what))
         slow.daemon = True

@@ -27,10 +27,11 @@ from frogkick.front.bench import (
     Operators,
     no_operator,
     require_bench,
-    require_film,
+    require_video,
     run_on_bench,
 )
-from frogkick.front.courses import (
+from frogkick.front.html import page_of
+from frogkick.front.mission import (
     Then,
     clearance_m,
     hold_json,
@@ -38,9 +39,8 @@ from frogkick.front.courses import (
     next_paths,
     require_room,
     then_json,
-    walled,
+    with_walls,
 )
-from frogkick.front.html import page_of
 from frogkick.front.places import (
     plan_config,
     require_plan,
@@ -87,11 +87,16 @@ if TYPE_CHECKING:
 class Run(RunLog):
     """One closed-loop run: its log, how well the path was followed, and what can be done with it.
 
-    What a run without a decision or a fix cannot tell raises an ``InputError``, as does a file that cannot be
-    written and a package that is not installed.
+    An ``InputError`` is raised for a number that needs a decision or a fix which the run does not have, for a
+    file that cannot be written, and for a package that is not installed.
 
     Attributes:
-        robot_id, source, fixes, decisions, strokes, path, then, truth, measured, planner, made: the log's.
+        robot_id: id of the robot.
+        source: name of the file or program that the run comes from.
+        fixes, decisions, strokes: the columns of the log, see the reference of run logs.
+        path, then: the path from the first decision on, and those that took over.
+        truth: the true motion in a simulated pool; None for a real robot.
+        measured, planner, made: numbers about the run, the planner's settings, and the provenance of the log.
         checked: number of decisions that agreed, if robot and host both decided.
     """
 
@@ -269,9 +274,9 @@ def run(
         plan: who decides: "onboard" (the robot), "host", or "both" (the robot while the host checks it).
         planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
         depth: periods to look ahead, 1 to 4; None: the planner's own.
-        learn: whoever decides learns what each limb has lost, and plans with it. A robot goes on from what it
-            knows; a run without it makes it forget.
-        inside: walls to keep from: x, y, x, y of opposite corners, m, or "pool": the calibration's.
+        learn: estimate the wear of each limb during the run, on the robot or the host, and plan with it. A
+            robot continues from its earlier estimate; a run without ``learn`` makes it forget.
+        inside: walls to keep off: x, y, x, y of opposite corners, m, or "pool": those of the calibration.
         then: paths that take over without a stop: "ellipse@20" or ("ellipse", 20.0) at 20 s after the first
             decision; "ellipse@20@here", ("ellipse", 20.0, "here"): it begins where the robot then is.
         hold: at its path's end the robot circles it until a later path takes over or the run is ended.
@@ -282,13 +287,14 @@ def run(
         source: camera of a calibration: a number, an address, a video or a folder of pictures.
         begin: where a real robot's path begins: "X,Y,DEG" (m, degrees) or "here"; None: unchanged.
         dialect: protocol of a real robot: "frogkick", or "frog2022" for the authors' own firmware.
-        battery_v: voltage of a real robot's lowest battery, measured with a meter; a low one is refused.
+        battery_v: voltage of a real robot's lowest battery, measured with a meter. The run refuses a low
+            battery.
         operator: asked before a real robot is armed, and may stop the run.
         wire: an open link to a real robot; None: a link is opened for this run and closed after it.
         key: key file of a real robot that has an owner; None: the user's own, see ``connect``.
-        out: log to write (HDF5); with a real robot it grows while the robot swims.
+        out: log to write (HDF5); with a real robot it is written during the run.
         view: draw the run in the browser, with a stop button; a simulated run then goes in real time.
-        video: record the camera's pictures beside ``out``.
+        video: record the camera's pictures next to ``out``.
         progress: True for a bar, or a function of (path points passed, all).
 
     Raises:
@@ -300,7 +306,7 @@ def run(
     named = str(world) if isinstance(world, Path | str) else None if world is None else "given"
     require_bench(robot, dialect, fixes, named, battery_v, begin, None if key is None else str(key))
     target = None if out is None else Path(out)
-    require_film(video, fixes, target)
+    require_video(video, fixes, target)
     is_real = is_target(robot)
     if not is_real:
         require_simulator(robot)
@@ -316,7 +322,7 @@ def run(
     true = World() if world is None else copy.deepcopy(read_world(world, described))
     check = LiveCheck() if plan == "both" else None
     stopped = threading.Event()  # by the button of the page
-    config = walled(plan_config(described, planner, depth), inside, used, fixes)
+    config = with_walls(plan_config(described, planner, depth), inside, used, fixes)
     following = next_paths(then, time_limit_s)
     hold_m = hold_radius_m(used.tables, described.id) if hold else None
     if hold_m is not None and not is_real:

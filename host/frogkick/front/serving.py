@@ -37,11 +37,11 @@ from frogkick.vision.stream import streamed
 RATE_HZ = 20.0
 KEPT_EVERY_S = 0.5
 BEHIND_S = 2.0
-"""A simulation so far behind the clock does not catch up: a busy computer holds it up for less."""
+"""A simulation that is this far behind the clock will not catch up; a busy computer delays it by less."""
 WORDS = ("put", "hide", "show", "mirror", "unplug", "plug", "restart")
-"""What may be asked of an open pool."""
+"""The words that an open pool accepts on standard input."""
 TRUTH_ROWS = 1000
-"""The pool forgets what was true longer ago: it may be open for days."""
+"""Older true poses are deleted, because the pool may be open for days."""
 
 
 class ServedRobot:
@@ -125,7 +125,7 @@ class ServedPool:
 
     Attributes:
         table: the table in the robot's firmware.
-        begin: x_m, y_m, heading_rad where the robot was first.
+        begin: initial x_m, y_m, heading_rad of the robot.
         flash: file in which its flash is kept; None: in none.
         source: the camera, as ``--source`` takes it.
         picture: address of a single picture.
@@ -178,7 +178,7 @@ class ServedPool:
         return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
 
     def look_after(self) -> None:
-        """Keep the flash where it has changed; call it now and then."""
+        """Write the flash's file if the flash has changed; call it from time to time."""
         if self._line.error is not None:
             raise self._line.error
         if self._robot.behind_s > BEHIND_S:
@@ -273,7 +273,7 @@ def served_pool(
         built = stack.enter_context(built_firmware(SIMULATED[robot], image, described))
         switch_on = _maker(robot, built.image, limbs)
         pool = Pool(described, first, Camera(rate_hz=1.0), rng, true)
-        pool.advance(1e-3)  # compiles the rods where that is needed
+        pool.advance(1e-3)  # compiles the rods if needed
         served = ServedRobot(switch_on, pool, held)
         wire = stack.enter_context(PtyLine(None if line is None else Path(line), served))
         opened = ServedPool(used, first, kept, scene, calibration, served, wire, seed)
@@ -308,6 +308,6 @@ def _pose_in(pool_m: tuple[float, float], text: str, what: str) -> tuple[float, 
     x_m, y_m, heading_rad = parse_begin(text, what)
     if not (0.0 <= x_m <= pool_m[0] and 0.0 <= y_m <= pool_m[1]):
         raise InputError(
-            f"{what} {text} is outside the pool, which reaches from 0,0 to {pool_m[0]:g},{pool_m[1]:g} m"
+            f"{what} {text} is outside the pool: give x and y from 0,0 to {pool_m[0]:g},{pool_m[1]:g} m"
         )
     return x_m, y_m, heading_rad

@@ -38,7 +38,8 @@ def simulate(
         robot: the robot, its name or its TOML file.
         actions: names, such as ``"BBC"``, ``"B,B,C"`` or a sequence; None: the gait.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start of the actions.
-        egain_percent, frequency_hz: profile of a gait; None: the robot's own.
+        egain_percent: EGaIn fraction of the profile of a gait, %; None: the robot's own.
+        frequency_hz: strokes per second of a gait; None: the robot's own.
         phase: lag of the rear limbs as a fraction of the cycle of a gait, 0 <= phase < 1.
         cycles: number of cycles of a gait.
 

@@ -42,14 +42,16 @@ class Camera:
         for name, (low, high) in limits.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"camera {name} is {value}, allowed is {low} to {high}")
+                raise InputError(
+                    f"camera {name} is {value}, allowed is {low} to {high}: give a number in that range"
+                )
 
 
 def noise_of_run(seed: int, path_name: str, points: int) -> np.random.Generator:
-    """Random numbers of a run along a path.
+    """Random generator for a run along a path.
 
-    With one seed, runs along different paths have different noise, because identification takes the fixes of
-    several runs for independent. Runs along one path have the same noise, so that they can be compared.
+    With one seed, runs along different paths have different noise, because identification assumes the fixes
+    of several runs to be independent. Runs along one path have the same noise, so that they can be compared.
     """
     return np.random.default_rng([seed, zlib.crc32(f"{path_name} {points}".encode())])
 

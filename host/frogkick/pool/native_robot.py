@@ -32,7 +32,7 @@ _CLEARED = 2  # number of the core's structures that the start-up clears; the ot
 
 
 def kept_wear(table_crc: int, lost: Sequence[int]) -> bytes:
-    """RAM that survives resets (``fk_wear_persistent_t``) of a robot that learns what its limbs have lost.
+    """RAM that survives resets (``fk_wear_persistent_t``) of a robot that estimates the wear of its limbs.
 
     ``lost``: the share of each limb, 0 to 32767, as in ``Decision``.
     """
@@ -59,7 +59,7 @@ class SimulatedPort(RobotPort, Protocol):
         """Bytes that came from the robot since the last call, with their times."""
 
     def flash_content(self) -> bytes:
-        """What outlives a loss of power."""
+        """The content that survives a loss of power."""
 
     def frames(self) -> list[tuple[float, Frame]]:
         """The frames of ``received``, with the arrival times of their last bytes."""
@@ -69,9 +69,9 @@ class SimulatedPort(RobotPort, Protocol):
 class NativeRobot(SimulatedPort):
     """A port over a shared library made by ``firmware build --target native``.
 
-    Computing takes no simulated time, other than on the virtual chip. The port's clock runs through resets,
-    the robot's starts again with each. Flash survives all resets; of the RAM only what the start-up does not
-    clear survives a watchdog's.
+    Computing takes no simulated time, unlike on the virtual chip. The port's clock continues through resets;
+    the robot's clock restarts with each. Flash survives all resets. Of the RAM, only the part that the
+    start-up does not clear survives a reset by the watchdog.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class NativeRobot(SimulatedPort):
             keep_calls: fill ``calls``.
             heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
                 lets them rest first.
-            learned: what it kept of its limbs' wear (``kept_wear``); b"": nothing.
+            learned: its persistent wear estimate (``kept_wear``); b"": none.
         """
         self._ffi, self._core = load(library)
         self._blocks: list[tuple[Any, int]] = []

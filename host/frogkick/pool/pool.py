@@ -79,7 +79,7 @@ class Pool:
         return self._batch.pose_world()[0], self._batch.velocity_body()[0]
 
     def put(self, pose_world: tuple[float, float, float]) -> None:
-        """Lay the robot down elsewhere, at rest; what its limbs have been through stays with it."""
+        """Place the robot elsewhere, at rest; the history of its limbs is kept."""
         self._batch = self._at_rest(pose_world, self.time_s)
 
     def _at_rest(self, pose_world: tuple[float, float, float], time_s: float) -> Batch:
@@ -94,7 +94,7 @@ class Pool:
             InputError: no limb of the robot, a time that has passed, or one that is not finite.
         """
         if not 0 <= limb < self._batch.limbs:
-            raise InputError(f"limb {limb} of robot {self.robot.id!r} is none of 0-{self._batch.limbs - 1}")
+            raise InputError(f"limb of robot {self.robot.id!r} is {limb}: give 0 to {self._batch.limbs - 1}")
         if not self.time_s - 1e-9 <= start_s < math.inf:
             raise InputError(f"limb {limb} fired for {start_s} s at {self.time_s} s: fire now or later")
         self._acting.fire(self._batch, 0, limb, start_s)

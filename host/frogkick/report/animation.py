@@ -28,18 +28,18 @@ from frogkick.runs.runlog import RunLog
 
 ANIMATIONS = (".gif", ".mp4")
 RATE_HZ = 20  # of the pictures; a GIF counts in hundredths of a second, so this one is exact
-PICTURES_MAX = 400  # a longer swim is shown faster: 20 s of showing, 1 to 3 MB of GIF
+PICTURES_MAX = 400  # a longer swim is played faster: 20 s of playing time, 1 to 3 MB of GIF
 WIDTH_PX = 720
 HEIGHT_MIN_PX, HEIGHT_MAX_PX = 240, 720
 _DPI = 100
 _INKS = ("#000000", style.DESIRED, style.TRUE, style.ALARM, style.ESTIMATED)
 _SHADES = 12
-"""Of each ink on white, for smooth edges: 61 colours, the same for all pictures, so that nothing flickers."""
+"""Steps from each colour to white, for smooth edges; 61 colours, the same in all pictures."""
 
 
 @dataclass(frozen=True)
 class Swim:
-    """A swim to simulate and show."""
+    """A simulated swim or a run to animate."""
 
     rods: Rods  # of the robot, with the profile of its limbs
     pulses: tuple[tuple[float, int], ...]  # (time_s, limb mask) of every group that fires, in order of time
@@ -96,7 +96,7 @@ def run_swim(log: RunLog) -> Swim:
     seen = log.fixes.usable
     if np.count_nonzero(seen) < 2:
         raise InputError(
-            "this run has fewer than 2 usable position fixes, so there is nothing to show: choose another run"
+            "this run has fewer than 2 usable position fixes, so it cannot be animated: choose another run"
         )
     begin_s = float(log.fixes.capture_time_s[seen][0])
     time_s = log.fixes.capture_time_s[seen] - begin_s
@@ -110,7 +110,7 @@ def run_swim(log: RunLog) -> Swim:
 
 
 def film(swim: Swim) -> Film:
-    """Simulate a swim and keep what each picture shows, at RATE_HZ or faster than real time if it is long.
+    """Simulate a swim and record the state for each picture, at RATE_HZ, faster than real time if it is long.
 
     Raises:
         ConvergenceError: the rods fail; the text gives the state.
@@ -160,7 +160,7 @@ def write_animation(
     """Simulate a swim and write it as a GIF or an MP4, by its name, wholly or not at all.
 
     Returns:
-        ``pictures``, ``rate_hz``, ``speed`` (swum seconds for a shown one), ``bytes``.
+        ``pictures``, ``rate_hz``, ``speed`` (simulated seconds per second of the animation), ``bytes``.
 
     Raises:
         InputError: see require_animation_name, or a place that cannot be written to.
@@ -187,7 +187,7 @@ def _stage(swim: Swim, shot: Film) -> Figure:
         shown_m = np.concatenate([shown_m, swim.path_m])
     low, high = 100.0 * shown_m.min(axis=0) - 1.5, 100.0 * shown_m.max(axis=0) + 1.5
     wide, tall = (float(side) for side in high - low)
-    room_px = 80  # what labels take on each axis
+    room_px = 80  # space of the labels on each axis
     wanted_px = (WIDTH_PX - room_px) * tall / wide + room_px
     height_px = int(np.clip(wanted_px, HEIGHT_MIN_PX, HEIGHT_MAX_PX))
     if wanted_px < HEIGHT_MIN_PX:  # a straight swim: show more water above and below
@@ -211,7 +211,7 @@ def _pictures(swim: Swim, shot: Film, progress: Callable[[int, int], None]) -> I
     figure = _stage(swim, shot)
     canvas: Any = FigureCanvasAgg(figure)  # matplotlib gives no types for what follows
     canvas.draw()
-    figure.set_layout_engine("none")  # the layout is found: it would be found again at each picture
+    figure.set_layout_engine("none")  # the layout is fixed now, so that it is not computed for each picture
     axes = figure.axes[0]
     still = canvas.copy_from_bbox(figure.bbox)
     robot, mesh = swim.rods.robot, swim.rods.mesh

@@ -1,4 +1,4 @@
-"""Pictures of an identification: predictions, residuals, candidates, and what the model still misses."""
+"""Figures of an identification: predictions, residuals, candidates, and unexplained residuals."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def time_figure(outcome: Outcome, periods: Residuals) -> Figure:
     return figure
 
 
-def cause_figure(outcome: Outcome, periods: Residuals) -> Figure:
+def by_action_figure(outcome: Outcome, periods: Residuals) -> Figure:
     """Draw the size of the residuals by action, and below the residual of each limb's strokes."""
     names = outcome.test[0].action_names
     labels = np.unique(periods.action)
@@ -224,8 +224,8 @@ def place_figure(periods: Residuals) -> Figure:
     return figure
 
 
-def tried_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
-    """Draw the gains of the candidates in each iteration; the dashed line is the least accepted gain."""
+def candidates_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
+    """Draw the gains of the candidates in each iteration; the dashed line is the smallest accepted gain."""
     iterations = [ranked(tried) for tried in iterations]
     rows = [min(len(tried), TRIED_MOST) for tried in iterations]
     most = max([EFFECT_PENALTY, *(each.gain for tried in iterations for each in tried)])
@@ -235,7 +235,7 @@ def tried_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
         for index, (axes, tried) in enumerate(zip(panels, iterations, strict=True), 1):
             _iteration(axes, tried)
             axes.set_title(f"Iteration {index}")
-        panels[-1].set_xlabel("fall of -2 log likelihood on the training runs (1)")
+        panels[-1].set_xlabel("gain: fall of -2 log likelihood on the training runs")
         for axes in panels:
             axes.set_xscale("symlog", linthresh=10.0)
             axes.set_xlim(0.0, 3.0 * most)
@@ -262,7 +262,7 @@ def _iteration(axes: Axes, tried: Sequence[CandidateScore]) -> None:
     axes.grid(axis="y", visible=False)
 
 
-def rest_figure(outcome: Outcome) -> Figure:
+def unexplained_figure(outcome: Outcome) -> Figure:
     """Draw the share of the residuals that each variable explains."""
     shares = dict(sorted(outcome.diagnostics["shares"].items(), key=lambda row: row[1]))
     with style.new_figure(7.5, 0.7 + 0.27 * len(shares)) as figure:
@@ -275,9 +275,10 @@ def rest_figure(outcome: Outcome) -> Figure:
     return figure
 
 
-def missing_figure(outcome: Outcome) -> Figure | None:
-    """Draw what the model with the identified effects still misses, over the time of the training runs: a
-    wrench, failed strokes, errors of fixes. None if laws were not looked for."""
+def missing_terms_figure(outcome: Outcome) -> Figure | None:
+    """Draw what the model with the identified effects leaves unexplained, over the time of the training runs.
+
+    These are a wrench, failed strokes, and errors of fixes. None if laws were not searched for."""
     missing = outcome.residuals
     if missing is None or missing["wrench"] is None:
         return None

@@ -14,15 +14,15 @@ from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN, Can
 from frogkick.identification.terms import Interval
 from frogkick.identification.verdict import FOUND, FOUND_LAW, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED
 from frogkick.report.identify_figures import (
-    cause_figure,
+    by_action_figure,
+    candidates_figure,
     error_figure,
-    missing_figure,
+    missing_terms_figure,
     place_figure,
     ranked,
-    rest_figure,
     time_figure,
     track_figure,
-    tried_figure,
+    unexplained_figure,
 )
 from frogkick.report.identify_residuals import Residuals, explained_shares, residuals_of
 from frogkick.report.laws import law_section, laws_of
@@ -35,8 +35,8 @@ MEANS = {
     NOTHING: "the nominal model predicts these runs as well as their fixes allow",
     FOUND_LAW: "with the formula below, predictions are as good as the fixes allow",
     FOUND: "with the effects below, predictions are as good as the fixes allow",
-    PARTLY: "the effects below make the test runs likelier, but the residuals still exceed the noise",
-    UNEXPLAINED: "the model lacks something that none of the candidate effects explains",
+    PARTLY: "with the effects below the test runs are more likely, but the residuals still exceed the noise",
+    UNEXPLAINED: "none of the candidate effects explains the residuals of the model",
 }
 
 
@@ -63,7 +63,7 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
     if len(residuals.run):
         sections += [_tracks(outcome, residuals), _residual(outcome, residuals)]
     sections += [_effects(outcome), *([law_section(outcome)] if laws_of(outcome) else [])]
-    sections += [_tried(outcome), _apart(outcome), _rest(outcome), _terms(outcome)]
+    sections += [_candidates(outcome), _confounded(outcome), _unexplained(outcome), _terms(outcome)]
     write_page(target, TITLE, lead, sections)
 
 
@@ -145,7 +145,7 @@ def _residual(outcome: Outcome, residuals: Residuals) -> Section:
     )
     pictures = [
         (
-            cause_figure(outcome, residuals),
+            by_action_figure(outcome, residuals),
             "Above: residuals by action. Below: the residual of each limb's strokes by least squares over "
             "all test periods, forward and left in the robot's frame. Bars are two standard errors.",
         ),
@@ -156,13 +156,13 @@ def _residual(outcome: Outcome, residuals: Residuals) -> Section:
             "arrows are magnified by the same factor on both sides.",
         ),
     ]
-    missing = missing_figure(outcome)
+    missing = missing_terms_figure(outcome)
     if missing is not None:
         caption = (
-            "What the model with the identified effects still misses in the training runs. From top to "
-            "bottom: the missing force and torque in each third of a period, estimated by a smoother, with a "
-            "band of two standard deviations; the log likelihood ratio of each stroke, fired to not fired; "
-            "the innovation of each fix in robust standard deviations."
+            "What the model with the identified effects leaves unexplained in the training runs. From top "
+            "to bottom: the missing force and torque in each third of a period, estimated by a smoother, "
+            "with a band of two standard deviations; the log likelihood ratio of each stroke, fired to not "
+            "fired; the innovation of each fix in robust standard deviations."
         )
         pictures.append((missing, caption))
     return Section("Residuals by action, limb, time and place", text, images=pictures)
@@ -202,7 +202,7 @@ def _effects(outcome: Outcome) -> Section:
     )
     text = [
         "These effects are terms of the simulator with physical parameters. They are written into the "
-        "robot's file, from which a new library and new tables are made. Each interval contains the true "
+        "robot's file, from which a new library and a new table can be made. Each interval contains the true "
         "value with 95 percent probability.",
         "Share of bootstrap samples of the training runs (blocks of periods with replacement) in which each "
         f"effect was accepted: {shares}. An effect below {100.0 * STABLE:.0f} percent is not named.",
@@ -211,7 +211,7 @@ def _effects(outcome: Outcome) -> Section:
     return Section("Identified effects", text, Table(header, rows))
 
 
-def _tried(outcome: Outcome) -> Section:
+def _candidates(outcome: Outcome) -> Section:
     assert outcome.found is not None
     iterations = outcome.found.iterations
     if not iterations:
@@ -249,7 +249,7 @@ def _tried(outcome: Outcome) -> Section:
         },
     )
     caption = "Gains of the candidates in each iteration; the accepted one is magenta."
-    images = [(tried_figure(iterations), caption)]
+    images = [(candidates_figure(iterations), caption)]
     return Section("Candidate effects and their selection", text_of, table, images)
 
 
@@ -266,8 +266,8 @@ def _iteration_words(number: int, tried: list[CandidateScore]) -> str:
     )
 
 
-def _apart(outcome: Outcome) -> Section:
-    """Which effects are confounded in these runs, and how similar the others look."""
+def _confounded(outcome: Outcome) -> Section:
+    """The effects that are confounded in these runs, and the similarity of the other candidates."""
     assert outcome.found is not None
     if not outcome.terms:
         return Section("Confounded effects", ["No effect was found, so none can be confounded with it."])
@@ -291,7 +291,7 @@ def _apart(outcome: Outcome) -> Section:
     return Section("Confounded effects", text, Table(("candidate", "share of the change, %"), rows))
 
 
-def _rest(outcome: Outcome) -> Section:
+def _unexplained(outcome: Outcome) -> Section:
     sentence = str(outcome.diagnostics["text"])
     text = [
         sentence[:1].upper() + sentence[1:] + ".",
@@ -309,7 +309,7 @@ def _rest(outcome: Outcome) -> Section:
         },
     )
     caption = "Residuals on the training runs with the identified effects."
-    return Section("Unexplained residuals", text, table, [(rest_figure(outcome), caption)])
+    return Section("Unexplained residuals", text, table, [(unexplained_figure(outcome), caption)])
 
 
 def _terms(outcome: Outcome) -> Section:

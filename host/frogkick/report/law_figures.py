@@ -22,7 +22,7 @@ CELLS, FINE = 15, 60
 SPEED_MPS = 0.03
 """Resistance to motion is drawn for this speed."""
 BESIDE_M = 0.06
-RAW_LABEL, EXPLAINED_LABEL = "raw residual", "explained by the effects found"
+RAW_LABEL, EXPLAINED_LABEL = "raw residual", "explained by the identified effects"
 BOTH = (("raw", style.MEASURED, "o", RAW_LABEL), ("explained", style.PREDICTED, "x", EXPLAINED_LABEL))
 
 _SCALED = {"N": (1e3, "mN"), "N m": (1e6, "uN m"), "m/s": (1e3, "mm/s"), "m": (1e3, "mm"), "1": (1.0, "1"),
@@ -37,9 +37,10 @@ _UNITS = {key: unit for units in CHANNELS.values() for key, unit in units.items(
 
 
 def _seen(periods: Residuals, which: str, pool: bool) -> Float64:
-    """(n, 3) residuals of the nominal model ("raw"), or what the effects explain of them ("explained").
+    """(n, 3) residuals of the nominal model ("raw"), or their part that the effects explain ("explained").
 
-    They are along the pool's axes (by the heading amid the period) or the body's, and of the heading.
+    They are along the pool's axes (by the heading at the middle of the period) or the body's, and of the
+    heading.
     """
     residuals = periods.residual_body("nominal") if which == "raw" else periods.explained
     return world_from_body(periods.middle[:, 2], residuals) if pool else residuals
@@ -56,7 +57,7 @@ variable in words. The first one in a law is what it mainly depends on."""
 
 
 def depends_on(law: Law) -> str:
-    """Return a key of NEEDS: what a law mainly depends on."""
+    """Return a key of NEEDS: the variable that a law mainly depends on."""
     main = next((name for name in DEPENDS if name in law.names), "")
     if main == "time_s" and "cycle" in law.names:
         return "time in cycles"
@@ -83,20 +84,20 @@ def law_figure(outcome: Outcome, law: Law, periods: Residuals) -> Figure:
                 (shift, colour, legend, *by_limb(_seen(periods, which, False), periods.limbs))
                 for (which, colour, _, legend), shift in zip(BOTH, (-0.12, 0.12), strict=True)
             ]
-            for axes, axis in zip(rest, _telling(periods, False), strict=True):
+            for axes, axis in zip(rest, _explained_axes(periods, False), strict=True):
                 limb_panel(axes, outcome.robot, axis, of_limbs, "Residuals by limb")
         else:
             left, *rest = figure.subplots(1, 3)
             name, values = _along(law, periods)
             _curve(left, law, name, values)
             pool = bool({"x_n", "y_n", "x_mps", "y_mps", "x_m", "y_m"} & set(law.formulas))
-            for axes, axis in zip(rest, _telling(periods, pool), strict=True):
+            for axes, axis in zip(rest, _explained_axes(periods, pool), strict=True):
                 _dots(axes, periods, axis, name, values, pool)
         style.legend_below(figure, right if place else rest[0])
     return figure
 
 
-def _telling(periods: Residuals, pool: bool) -> list[int]:
+def _explained_axes(periods: Residuals, pool: bool) -> list[int]:
     """The two axes of the residuals of which the identified effects explain the largest share."""
     raw, explained = ((_seen(periods, which, pool) ** 2).sum(axis=0) for which in ("raw", "explained"))
     share = explained / np.maximum(raw, 1e-30)

@@ -1,4 +1,4 @@
-"""Laws in a report: in words, as a formula, as a picture, and what runs must contain to show them."""
+"""Laws in a report: in words, as a formula, as a figure, and what runs must contain to show them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from frogkick.report.law_figures import DEPENDS, depends_on, law_figure
 from frogkick.report.page import Section
 
 ACTS = 0.1
-"""A law acts in a period if it is more than this share of its largest value."""
+"""A law counts as acting in a period if it is more than this share of its largest value."""
 
 _PLACE = "({at_x:.2f}, {at_y:.2f}) m"
 _EVERY = "every {cycle:.2f} s, for {share:.0%} of that time"
@@ -56,16 +56,16 @@ SENTENCES: Mapping[str, str] = {
     "{to_y:.3g} m/s along y there, up to a distance of about {size:.2f} m.",
     "flow from a moment on": "From {at:.1f} s on the water flows.",
     "flow at intervals": f"The water flows {_EVERY}.",
-    "fixes off from a moment on": "From {at:.1f} s on the fixes are off.",
-    "fixes off at intervals": f"The fixes are off {_EVERY}.",
-    "fixes late from a moment on": "From {at:.1f} s on the fixes are {late:.3f} s older than they say.",
-    "fixes late at intervals": f"The fixes are {{late:.3f}} s older than they say, {_EVERY}.",
+    "fixes off from a moment on": "From {at:.1f} s on the fixes have an offset.",
+    "fixes off at intervals": f"The fixes have an offset {_EVERY}.",
+    "fixes late from a moment on": "From {at:.1f} s on the fixes are {late:.3f} s older than stated.",
+    "fixes late at intervals": f"The fixes are {{late:.3f}} s older than stated, {_EVERY}.",
     "misfire": "LIMB does nothing in {failing:.0%} of its strokes, at random.",
     "stroke from a moment on": "From {at:.1f} s on the strokes of LIMB are weaker by {loss:.0%}.",
     "stroke in rhythm": "The strokes of LIMB get weaker and stronger with a period of {cycle:.2f} s.",
     "stroke by time": "The strokes of LIMB get weaker with time, by {rate:.2%} a second.",
     "stroke by heading": "The strokes of LIMB depend on the robot's heading.",
-    "stroke by place": "The strokes of LIMB depend on the robot's place in the pool.",
+    "stroke by place": "The strokes of LIMB depend on the robot's position in the pool.",
     "stroke by speed": "The strokes of LIMB depend on the robot's speed.",
     "stroke after a rest": "The strokes of LIMB are weaker by up to {loss:.0%} soon after the one before, "
     "and recover within about {fade:.1f} s.",
@@ -84,7 +84,7 @@ WHAT: Mapping[str, str] = {
 NEEDS: Mapping[str, str] = {
     "place": "runs that cross the place from several sides and also keep away from it; a spring needs ten "
     "periods with the cable taut",
-    "time in cycles": "three to five of its cycles, and strokes that are not in step with them",
+    "time in cycles": "three to five of its cycles, and strokes that are not synchronous with them",
     "time": "five to ten periods on each side of the moment, or a long run if the change is slow",
     "heading": "headings all around, with the same actions at different headings",
     "speed": "slow and fast periods: starts from rest, turns, and straight stretches",
@@ -137,7 +137,7 @@ def figure_of_law(outcome: Outcome, law: int) -> Figure:
     """
     laws = laws_of(outcome)
     if not 0 <= law < len(laws):
-        raise InputError(f"law {law}: {len(laws)} were found, counted from 0")
+        raise InputError(f"law is {law}, but {len(laws)} were found, counted from 0: give a smaller number")
     return law_figure(outcome, laws[law][1], all_residuals(outcome))
 
 

@@ -1,4 +1,4 @@
-"""A page that draws a run while it runs, served on this computer alone."""
+"""A page that draws a run in progress, served to this computer only."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def write_page(target: Path, title: str, lead: str, sections: Sequence[Section])
 
 
 def left_out(rows: Sequence[tuple[str, str]], what: str) -> Section:
-    """Return the section of what is not on a page: rows of what (a case, a design) and the reason."""
+    """Return the section of omitted items: rows of the item (a case, a design) and the reason."""
     if not rows:
         return Section("Left out", [f"No {what} was left out."])
     return Section("Left out", table=Table((what, "reason"), rows))

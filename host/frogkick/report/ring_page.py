@@ -1,4 +1,4 @@
-"""The demo's report: the results of the ring, path by path."""
+"""The demo's report: the results of all stages, path by path."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import ESTIMATED, NOMINAL, PREDICTED, legend_below, new_figure
-from frogkick.ring import Closing, Ring, RingRun
+from frogkick.ring import Adaptation, Ring, RingRun
 from frogkick.runs.live_view import fan_of
 from frogkick.runs.record import lost_of
 from frogkick.runs.runlog import RunLog
@@ -22,17 +22,17 @@ from frogkick_codegen.firmware import CHIPS
 
 
 def write_ring_report(target: Path, ring: Ring) -> None:
-    """Write the report of ``go_round`` as one HTML file."""
-    missed = ring.missed
+    """Write the report of ``run_demo`` as one HTML file."""
+    error = ring.prediction_error
     lead = (
         f"A simulated robot, {ring.robot.title}, followed three paths with the planner running on a virtual "
-        f"nRF52832. Mean distance to the path {1e3 * ring.mean_distance_m:.1f} mm. The pool's physics is the "
-        "rod simulation, not the table: the table's prediction one period ahead has an error "
-        f"of {missed:.1f} (RMSE, {missed.count} periods)."
+        f"nRF52832. Mean distance to the path {1e3 * ring.mean_distance_m:.1f} mm. The pool is simulated "
+        "with the rods, not with the table: the prediction of the table one period ahead has an error "
+        f"of {error:.1f} (RMSE, {error.count} periods)."
     )
     sections = [_robot(ring), _paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring)]
-    if ring.closing is not None:
-        outcome = ring.closing.outcome
+    if ring.adaptation is not None:
+        outcome = ring.adaptation.outcome
         found = ", ".join(term.title for term in outcome.terms) or "no effect"
         lead += (
             " Then a limb was worn, and the model did not contain the wear. The verdict of identification "
@@ -41,14 +41,16 @@ def write_ring_report(target: Path, ring: Ring) -> None:
             f"the identified effects the error is {outcome.tested.after}. Noise of the fixes alone causes "
             f"{outcome.tested.noise_floor}."
         )
-        sections.append(_closing(ring.closing))
-    write_page(target, "frogkick: once round the ring", lead, [*sections, _how(ring)])
+        sections.append(_adaptation(ring.adaptation))
+    write_page(
+        target, "frogkick demo: from the model to the firmware and back", lead, [*sections, _how(ring)]
+    )
 
 
-def _closing(closing: Closing) -> Section:
-    outcome, planted = closing.outcome, closing.planted
-    hidden = {key: value for key, value in planted.items() if key not in ("name", "limb")}
-    true = f"{planted['name']} {planted['limb']}"
+def _adaptation(adaptation: Adaptation) -> Section:
+    outcome, true_effect = adaptation.outcome, adaptation.true_effect
+    hidden = {key: value for key, value in true_effect.items() if key not in ("name", "limb")}
+    true = f"{true_effect['name']} {true_effect['limb']}"
     rows = [
         (
             term.title,
@@ -65,17 +67,17 @@ def _closing(closing: Closing) -> Section:
         "worn robot followed four paths. Identification used the logs of these runs (fixes, strokes, "
         "decisions) and no true poses. The last run is the test run; all others are the training runs.",
         "A new library, table and firmware were made with the identified effects. The worn robot was "
-        f"{1e3 * closing.distance_m(closing.new):.1f} mm from its paths on average with them, and "
-        f"{1e3 * closing.distance_m(closing.old):.1f} mm with the old ones."
-        if closing.new
-        else "No effect was found, so library, table and firmware stayed as they were.",
-        "With the old table the robot can learn what its limbs have lost while it swims (run --learn). Then "
-        f"it was {1e3 * closing.distance_m(closing.learned):.1f} mm from the same paths, and believed at the "
-        f"end: {', '.join(_believed(run) for run in closing.learned)}.",
+        f"{1e3 * adaptation.distance_m(adaptation.new):.1f} mm from its paths on average with these, and "
+        f"{1e3 * adaptation.distance_m(adaptation.old):.1f} mm with the old ones."
+        if adaptation.new
+        else "No effect was found, so library, table and firmware were not changed.",
+        "With the old table the robot can also estimate the wear of its limbs while it swims (run --learn). "
+        f"It was then {1e3 * adaptation.distance_m(adaptation.learned):.1f} mm from the same paths. "
+        f"Estimated at the end of each run: {', '.join(_wear_estimate(run) for run in adaptation.learned)}.",
     ]
     worse = [
         f"the {_name(old)} from {_distance(old)} to {_distance(new)} mm"
-        for old, new in zip(closing.old, closing.new, strict=False)
+        for old, new in zip(adaptation.old, adaptation.new, strict=False)
         if tracking_of_log(new).mean_distance_m > tracking_of_log(old).mean_distance_m
     ]
     if worse:
@@ -84,35 +86,35 @@ def _closing(closing: Closing) -> Section:
             "different early decision changes the rest. 'frogkick study loop' averages over many seeds."
         )
     images = [(error_figure(outcome), "Errors on the test run before and after.")]
-    if closing.new:
-        images.append((_distances(closing), "The worn robot on its paths, each time with the same noise."))
-    table = Table(("found", "parameter", "value", "interval", "hidden value"), rows) if rows else None
+    if adaptation.new:
+        images.append((_distances(adaptation), "The worn robot on its paths, with the same noise each time."))
+    table = Table(("found", "parameter", "value", "interval", "true value"), rows) if rows else None
     links = [("identify.html", "The full report of the identification")]
     return Section("A worn limb, identified from the logs", text, table, images, links)
 
 
-def _believed(run: RunLog) -> str:
-    """Return what the robot had learned at the end of a run."""
+def _wear_estimate(run: RunLog) -> str:
+    """Return the wear of limbs that the robot had estimated at the end of a run."""
     shares = lost_of(run) or {}
     lost = [f"{name} has lost {100.0 * share:.0f} %" for name, share in shares.items() if share]
     return f"on the {_name(run)} {' and '.join(lost) or 'nothing is lost'}"
 
 
-def _distances(closing: Closing) -> Figure:
-    names = [_name(run) for run in closing.old]
+def _distances(adaptation: Adaptation) -> Figure:
+    names = [_name(run) for run in adaptation.old]
     with new_figure(6.6, 2.8) as figure:
         axes = figure.subplots()
         for shift, runs, colour, label in (
-            (-0.27, closing.old, NOMINAL, "old firmware"),
-            (0.0, closing.learned, ESTIMATED, "the same, learning"),
-            (0.27, closing.new, PREDICTED, "with the identified effects"),
+            (-0.27, adaptation.old, NOMINAL, "old firmware"),
+            (0.0, adaptation.learned, ESTIMATED, "old firmware, learning"),
+            (0.27, adaptation.new, PREDICTED, "new firmware"),
         ):
             heights = [1e3 * tracking_of_log(run).mean_distance_m for run in runs]
             axes.bar(np.arange(len(runs)) + shift, heights, 0.25, color=colour, label=label)
             for place, height in enumerate(heights):
                 axes.text(place + shift, height, f"{height:.1f}", ha="center", va="bottom", fontsize=8)
         axes.set_xticks(range(len(names)), names)
-        axes.set(xlabel="path", ylabel="mean distance (mm)", title="Worn robot: distance to the path")
+        axes.set(xlabel="path", ylabel="mean distance (mm)", title="Worn robot: distance from the path")
         axes.margins(y=0.12)
         legend_below(figure, axes, 3)
     return figure
@@ -155,7 +157,7 @@ def _why(ring: Ring) -> list[str]:
         return []
     asked_deg, turned_deg = np.rad2deg(bends.asked_rad), np.rad2deg(bends.turned_rad)
     text = (
-        f"The {_name(worst.log)} is followed least well, with a mean distance of {_distance(worst.log)} mm. "
+        f"The {_name(worst.log)} has the largest mean distance, {_distance(worst.log)} mm. "
         f"In one period the robot moved {1e3 * bends.step_m:.0f} mm along it. Where the path bends most, its "
         f"direction changes by {asked_deg:.0f} degrees over that length. The largest turn of the robot in "
         f"any period was {turned_deg:.0f} degrees."
@@ -180,9 +182,9 @@ def _paths(ring: Ring) -> Section:
             "progress, mm/s": lambda run: f"{1e3 * run.tracking.progress_mps:.1f}",
             "completed": lambda run: "yes" if run.tracking.completed else f"no ({run.log.notes})",
             "decisions": lambda run: run.tracking.decisions,
-            "prediction error": lambda run: f"{run.missed.error:.1f}",
+            "prediction error": lambda run: f"{run.residual.error:.1f}",
             "chip against Python twin, mismatches": lambda run: run.mismatches,
-            "limits broken": lambda run: run.tracking.limit_violations,
+            "guard limits violated": lambda run: run.tracking.limit_violations,
         },
     )
     links = [(f"{_name(run.log)}.h5", f"The log of the {_name(run.log)}") for run in ring.runs]
@@ -215,7 +217,7 @@ def _chip(ring: Ring) -> Section:
             for depth, ms in chip.plan_ms.items()
         ),
         ("computing time of a decision, 99th percentile", f"{slowest_ms:.2f} ms"),
-        ("firmware trial", f"{sum(chip.checks.values())} of {len(chip.checks)} checks held"),
+        ("tests of the firmware", f"{sum(chip.checks.values())} of {len(chip.checks)} passed"),
     ]
     text = (
         "The times come from instructions counted on the virtual chip with its cycle model "

@@ -23,8 +23,8 @@ from frogkick.robot.profile import MeasuredStroke, Profile
 def robot_figure(robot: Robot) -> Figure:
     """Draw a robot's nodes, edges and limbs in its body frame, in mm: at rest, and all limbs fully active.
 
-    Frame and limbs at rest are the simulation's own mesh. The active shapes are the natural ones: what a limb
-    strives for at the height of a stroke, without water.
+    Frame and limbs at rest are the simulation's own mesh. The active shapes are the natural ones: those of a
+    limb at the peak of a stroke, without water.
     """
     mesh = prepare(robot).mesh
     nodes_mm = 1e3 * (mesh.rest_m + _mesh_origin(robot, mesh))
@@ -47,7 +47,7 @@ def robot_figure(robot: Robot) -> Figure:
 def actions_figure(robot: Robot, ends: Float64) -> Figure:
     """Draw each action: the limbs that it heats, and how far it moves and turns the robot.
 
-    ``ends`` are (actions, 3) where each leads from rest in a period, body frame before it: m, m, rad.
+    ``ends`` are (actions, 3) motions from rest in one period, body frame at its start: m, m, rad.
     """
     columns = min(5, len(robot.actions))
     rows = -(-len(robot.actions) // columns)
@@ -68,13 +68,14 @@ def actions_figure(robot: Robot, ends: Float64) -> Figure:
                 colour = style.ALARM if first else style.PREDICTED if second else style.TRUE
                 shapes, width = (active, 2.5) if first or second else (rest, 1.0)
                 _line(axes, shapes[index], "-", color=colour, linewidth=width)
-            tip = (1e3 * end[1], 1e3 * end[0])
-            style.arrow(axes, (0.0, 0.0), tip, color="black", shrinkA=0, shrinkB=0)
+            far_mm, turn_deg = 1e3 * math.hypot(end[0], end[1]), round(math.degrees(end[2]))
+            if far_mm >= 0.5:  # a shorter arrow would be only its head
+                tip = (1e3 * end[1], 1e3 * end[0])
+                style.arrow(axes, (0.0, 0.0), tip, color="black", shrinkA=0, shrinkB=0)
             axes.set(xlim=(high[1], low[1]), ylim=(low[0], high[0]))
             axes.set_aspect("equal", adjustable="box")
             axes.set_axis_off()
-            far_mm, turn_deg = 1e3 * math.hypot(end[0], end[1]), math.degrees(end[2])
-            axes.set_title(f"{action.name}: {far_mm:.0f} mm, {turn_deg:+.0f} deg", loc="center")
+            axes.set_title(f"{action.name}: {far_mm:.0f} mm, {turn_deg:+d} deg", loc="center")
     return figure
 
 
@@ -113,7 +114,7 @@ def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
         corner = 1e3 * np.array([corner_m])
         _line(axes, corner, "s", color=style.DESIRED, markersize=7)
         away = _away(robot, index)
-        # Outside is where limbs are.
+        # Outside the frame, where the limbs are.
         side = -1.0 if any(limb.corner == index for limb in robot.limbs) else 1.0
         beside = (side * 28.0 * away[0], side * 20.0 * away[1])
         look = style.look(textcoords="offset points", ha="center", va="center", color=style.DESIRED)
@@ -141,10 +142,10 @@ def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
         # The page's x is -y of the body.
         right, up = -math.sin(limb.direction_rad), math.cos(limb.direction_rad)
         look = style.look(textcoords="offset points", ha="left" if right > 0.0 else "right", va="center")
-        colour, told = style.TRUE if actions else style.ALARM, f"actions {actions or 'none'}"
+        colour, fired_by = style.TRUE if actions else style.ALARM, f"actions {actions or 'none'}"
         beside = (10.0 * right, 16.0 * up)
         axes.annotate(
-            f"{index} {limb.name}\n{told}", (tip[1], tip[0]), beside, color=colour, fontsize=8, **look
+            f"{index} {limb.name}\n{fired_by}", (tip[1], tip[0]), beside, color=colour, fontsize=8, **look
         )
 
 

@@ -48,7 +48,7 @@ def run_figure(run: RunLog, title: str) -> Figure:
 
 
 class _Seen(NamedTuple):
-    """Times (n,) and poses (n, 3) from the first decision on, by the truth or by fixes, and their colour."""
+    """Times (n,) and poses (n, 3) from the first decision on, true or from fixes, and their colour."""
 
     time_s: Float64
     poses: Float64
@@ -82,7 +82,7 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     axes.plot(*here.T, "o", color=seen.colour, markersize=3)
     words = any(len(name) > 1 for name in names)
     for number, ((x, y), name, offset) in enumerate(zip(here, names, _beside(here), strict=True)):
-        # Words at each decision would cover each other.
+        # Words at each decision would overlap.
         again = words and number > 0 and names[number - 1] == name
         look = style.look(textcoords="offset points", ha="center", va="center", fontsize=7, color=seen.colour)
         axes.annotate("" if again else name, (x, y), (offset[0], offset[1]), **look)
@@ -140,18 +140,16 @@ def _estimate(axes: Axes, run: RunLog, seen: _Seen) -> None:
 
 
 def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
-    missed = residual(run)
-    _errors(axes, missed.time_s, missed.gap_body, style.PREDICTED)
-    axes.set_title(f"Error one period ahead: {missed.error:.1f} RMS")
+    errors = residual(run)
+    _errors(axes, errors.time_s, errors.gap_body, style.PREDICTED)
+    axes.set_title(f"Error one period ahead: {errors.error:.1f} RMS")
 
 
 def _lost(axes: Axes, run: RunLog, seen: _Seen) -> None:
     percent = 100.0 * run.decisions.extra["lost"] / LOST_MAX
     for limb, (name, dash) in enumerate(zip(learned_limbs(run), ("-", "--", "-.", ":") * 2, strict=False)):
         axes.step(run.decisions.time_s, percent[:, limb], where="post", linestyle=dash, label=name)
-    axes.set(
-        ylim=(-5.0, 105.0), ylabel="lost (%)", title="What each limb has lost of its contribution, as learned"
-    )
+    axes.set(ylim=(-5.0, 105.0), ylabel="lost (%)", title="Estimated loss of each limb's contribution")
     axes.legend(loc="center right", ncols=2)
 
 
@@ -181,10 +179,10 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
                 label = f"{name}, mean {distance_mm.mean():.1f} mm"
                 upper.plot(time_s - first_s, distance_mm, color=colour, label=label)
             heights = [every.index(letter) for letter in run.decided()]
-            # Hollow and larger, so that one shows around the other.
+            # Hollow and larger, so that both can be seen.
             how = {"markersize": 4} if run is runs[0] else {"markersize": 7, "markerfacecolor": "none"}
             lower.plot(run.decisions.time_s - first_s, heights, mark, color=colour, label=name, **how)
-        upper.set(ylabel="distance (mm)", title="Distance, each to its own path")
+        upper.set(ylabel="distance (mm)", title="Distance of each run to its path")
         if upper.lines:
             upper.legend(loc="best")
         lower.set_yticks(range(len(every)), every)

@@ -27,11 +27,11 @@ MEASURED = "#e69f00"
 ESTIMATED = "#009e73"
 PREDICTED = "#cc79a7"
 ALARM = "#d55e00"
-NOMINAL = "#56b4e9"  # predictions of the nominal model; those of the corrected model have PREDICTED
+NOMINAL = "#56b4e9"  # predictions of the nominal model; those of the corrected model use PREDICTED
 FLOOR = "#000000"  # error that the noise of the fixes alone causes
 
 PICTURES = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}
-"""Ending of a picture's file -> the field of its metadata that would differ each time."""
+"""Ending of a picture's file -> the field of its metadata that would differ between runs."""
 
 TO_SCALE: Any = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
 """Options of arrows that are as long as their values on the axes."""
@@ -94,7 +94,7 @@ def plain_decades(axis: Axis) -> None:
 
 
 def look(**options: Any) -> dict[str, Any]:
-    """Return options of how something is drawn, to share them between calls."""
+    """Return drawing options, to share them between calls."""
     return options
 
 

@@ -1,1 +1,1 @@
-"""A closed-loop run: fixes in, strokes out; its log; recorded runs."""
+"""Closed-loop runs, their logs, and the paper's recorded runs."""

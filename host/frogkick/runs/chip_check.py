@@ -1,4 +1,4 @@
-"""Tests a firmware image on the virtual chip: commands, strokes, limits, stack and computing time."""
+"""Tests of a firmware image on the virtual chip: commands, strokes, limits, stack and computing time."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class _Trial:
         pulse_s = self.tables.pulse_us * 1e-6
         are_right = [abs(pulse.end_s - pulse.start_s - pulse_s) <= PULSE_TOLERANCE_S for pulse in pulses]
         self._check("pulses last as the table says", bool(pulses) and all(are_right))
-        # Again at once: the limbs have not rested long enough.
+        # A second stroke at once: the limbs have not rested long enough.
         self._wait(0.0)
         refused = int(self.session.request("STATUS")["pulses_refused"])
         self.session.request("STROKE", {"action": action})

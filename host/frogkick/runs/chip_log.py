@@ -1,4 +1,4 @@
-"""A robot's fetched log: its file (HDF5, the bytes of each stretch), and its replay.
+"""A robot's fetched log: its file (HDF5, the bytes of each contiguous part), and its replay.
 
 The C core on this computer and the Python twin replay it, and are compared with it bit by bit. A segment of
 the replay starts at a snapshot and ends before the next event that cannot be repeated: a start of the robot,
@@ -193,7 +193,7 @@ def replay_log(
 
 
 def _damage(records: list[Record]) -> list[Mismatch]:
-    """Records that no robot writes.
+    """Records that a correct robot never writes.
 
     These are records with a wrong check, commands after an unfinished one, and decisions or fixes after a
     start or a table update without a snapshot in between.
@@ -293,7 +293,8 @@ class _Segment:
                 return index
             if made.content != record.content:
                 self._report(record, "core", f"{record.name} differs in {_fields(made, record)}")
-                if record.name == "COMMAND":  # one takes it, the other refuses: what follows differs
+                # One accepts the command and the other refuses it, so what follows differs.
+                if record.name == "COMMAND":
                     self.made = []
                     return index
             for what in twin.replay(record):

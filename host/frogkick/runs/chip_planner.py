@@ -73,7 +73,9 @@ class ChipPlanner:
         words = [self.chip.flash.word(self.chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
         status, self.open_cycles = self.chip.call("fk_tables_open", *words, self._tables)
         if status != 0:
-            raise ChipError(f"the image refuses its own table (fk_error_t {status - (1 << 32)})")
+            raise ChipError(
+                f"the image refuses its own table (fk_error_t {status - (1 << 32)}): build it again"
+            )
         self._settings = np.zeros((), dtype=self._types["fk_plan_config_t"])
 
     def room(self, name: str, count: int = 1) -> int:

@@ -38,7 +38,7 @@ from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 
-SETTLE_S = 0.6  # of fixes before the start, so that the first estimate has a velocity
+SETTLE_S = 0.6  # time of fixes before the start, so that the first estimate has a velocity
 START_DELAY_S = 0.1
 READY_S = 1.0
 """Earliest start of a run: a chip boots later than the core on this computer, and both get the same fixes."""
@@ -68,11 +68,11 @@ class FixSource(Protocol):
         """Return the fixes that arrived since the last call, in order."""
 
     def actuate(self, limb: int, start_s: float) -> None:
-        """Take note that a limb's pin switched on."""
+        """Record that a limb's pin was switched on."""
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
-    """The robot's PARAM values for a planner configuration, with which it forgets what limbs have lost."""
+    """The robot's PARAM values for a planner configuration; with them it forgets its wear estimate."""
     weights = {name.upper(): float(getattr(config, name)) for name in WEIGHTS}
     return {
         **weights,
@@ -84,13 +84,13 @@ def parameters(config: PlanConfig) -> dict[str, float]:
 
 
 def configure(session: Session, config: PlanConfig, learn: bool) -> tuple[int, ...]:
-    """Send a robot a planner configuration, and whether it learns what limbs have lost.
+    """Send a robot a planner configuration, and whether it estimates the wear of its limbs.
 
-    One that learns goes on from the shares that it knows; HELD drops all but these, so that a twin can start
-    from the same.
+    A robot that does continues from the shares that it remembers. HELD resets all but these, so that a twin
+    can start from the same state.
 
     Returns:
-        (8,) the shares that it knows, 0 to 32767, as in ``Decision``.
+        (8,) the shares that it remembers, 0 to 32767, as in ``Decision``.
 
     Raises:
         LinkError: a value is out of its limits, or the table holds no wear curves to learn by.
@@ -127,7 +127,8 @@ def run_session(
     Args:
         session: with the robot; the run sets its ``on_step``.
         source: position fixes on the session's clock: a simulated pool, or a tracker.
-        recording: says what is followed, by which planner; the run is recorded in it, and it is returned.
+        recording: says which path is followed, by which planner. The run is recorded in it, and it is
+            returned.
         progress: called after each decision with the session time and the nearest path point.
         keep: called after each step with the recording so far.
 
@@ -149,7 +150,7 @@ def run_session(
         raise
 
 
-def swim(
+def run_in_pool(
     port: RobotPort,
     tables: Tables,
     robot: Robot,
@@ -253,7 +254,7 @@ class _Run:
         self._end(TIME)
 
     def _end(self, why: str) -> None:
-        """Note that the run was ended from outside, which is how one ends that holds."""
+        """Record that the run was ended from outside, which completes a run that holds."""
         self.recording.ended = why
         self.recording.completed = self.changes.holds
 
@@ -264,7 +265,7 @@ class _Run:
         return self.changes.due(since_s, recording.fixes, recording.decisions)
 
     def _check_still_running(self) -> None:
-        """Ask the robot after a lost connection: its ENDED may have been lost."""
+        """Ask the robot for its state after a lost connection, because its ENDED may have been lost."""
         if int(self.session.request("STATUS")["state"]) != link_layout().state["RUNNING"]:
             for arrival in self.session.take("ENDED"):
                 self._handle(arrival.frame)
@@ -319,7 +320,7 @@ class _Run:
     def _handle(self, frame: Frame) -> None:
         recording, values = self.recording, frame.values
         if frame.name == "FIX" and frame.sequence not in self._unanswered:
-            self._late_answers += 1  # its sequence number has been used again: the fix is unknown
+            self._late_answers += 1  # its sequence number has been reused, so the fix is unknown
             return
         poses = {key: recording.fixes[row].pose_world for key, row in self._unanswered.items()}
         events = events_of_frame(frame, poses)
@@ -348,7 +349,7 @@ class _Run:
             if not self.options.onboard:
                 begin_us, known = begin_us - recording.clock_offset_us, len(recording.fixes)
                 self.twin.act(begin_us, RESTING)
-            if recording.decisions:  # the first one is lost where the connection dropped
+            if recording.decisions:  # the first one is lost if the connection dropped
                 recording.rested[len(recording.decisions) - 1] = begin_us, known
         elif decision is not None:
             recording.decisions.append(decision)
@@ -360,7 +361,7 @@ class _Run:
             recording.ended = ENDED.get(name, name)
 
     def _check_disarmed(self) -> None:
-        """End the run where the robot refused a stroke because it has disarmed itself."""
+        """End the run if the robot refused a stroke because it has disarmed itself."""
         status = self.session.request("STATUS")
         if status["state"] == link_layout().state["DISARMED"] and not self.recording.ended:
             is_low = status["supply"] != link_layout().supply["OK"]
@@ -383,9 +384,10 @@ class _Run:
             if edge.level:
                 self.source.actuate(edge.limb, edge.time_s)
         fixes = self.source.advance(until_s)
-        for fix in fixes if self._is_configured else ():  # the robot forgets the others, and no twin has them
+        # The robot discards fixes before it is configured, so the twin does not get them.
+        for fix in fixes if self._is_configured else ():
             recording = self.recording
-            # An arrival is a sum of floats: it may lie a rounding error behind the one before.
+            # An arrival is a sum of floats, which may be a rounding error before the previous one.
             at_s = max(until_s, fix.arrival_s, *recording.sent_s[-1:])
             sequence = self.session.post_fix(fix, at_s)
             self._unanswered[sequence] = len(recording.fixes)

@@ -1,4 +1,4 @@
-"""Decisions: as the robot reports them, and made again on the host by the twins of estimator and planner."""
+"""Decisions as the robot reports them, and the same decisions by the host's twins."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SUPPLY = link_layout().status["SUPPLY"]
 VALUE = link_layout().status["VALUE"]
 NOTHING_LOST = (0,) * LIMBS_MAX
 RESTING = -1
-"""``RobotEvent.action`` where the guard refused a stroke, so that the robot rests."""
+"""``RobotEvent.action`` if the guard refused a stroke, so that the robot rests."""
 
 _INTEGERS = (
     "status", "action", "scheduled_us", "fix_sequence", "path_index", "nearest_state", "depth_reached",
@@ -44,7 +44,7 @@ def _no_state() -> Float32:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """A decision of the robot or of the host. What has no comment is as in ``Plan``."""
+    """A decision of the robot or of the host. Fields without a comment are those of ``Plan``."""
 
     status: int  # 0, or why the action is the resting one (``frames.toml``)
     action: int  # index in the table's actions
@@ -60,7 +60,7 @@ class Decision:
     predicted: Float32 = field(default_factory=_no_state)
     plan_us: int = 0  # computing time; 0 where it was not measured
     limb_use: tuple[int, ...] = (0,) * LIMBS_MAX  # (8,) recent use of each limb before the action
-    # (8,) share of its contribution that each limb has lost, as learned so far, 0 to 32767
+    # (8,) estimated share of its contribution that each limb has lost, 0 to 32767
     lost: tuple[int, ...] = NOTHING_LOST
     depth_reached: int = 0
     transitions: int = 0
@@ -95,7 +95,7 @@ class RobotEvent:
 
 
 def lost_text(lost: Sequence[int], limbs: Sequence[str]) -> str:
-    """What limbs are believed to have lost, for people: "front_left has lost 67 %"; "": nothing."""
+    """The estimated wear in words: "front_left has lost 67 %"; "" for none."""
     shares = [(name, 100.0 * code / LOST_MAX) for name, code in zip(limbs, lost, strict=False) if code]
     return ", ".join(f"{name} has lost {share:.0f} %" for name, share in shares)
 
@@ -103,7 +103,7 @@ def lost_text(lost: Sequence[int], limbs: Sequence[str]) -> str:
 def events_of_frame(frame: Frame, poses: Mapping[int, Float32]) -> list[RobotEvent]:
     """Inputs of the robot's estimator and planner that a frame reports.
 
-    ``poses`` are of the fixes without an answer so far, by the sequence number of their frame.
+    ``poses`` are those of fixes without an answer so far, by the sequence number of their frame.
     """
     values = frame.values
     if frame.name == "FIX" and values["status"] != VALUE:
@@ -136,7 +136,7 @@ class DecisionTwin:
     """Estimator and planner on the host, which decide as the robot does.
 
     Attributes:
-        tables: those that it began with.
+        tables: the robot's table, without wear.
         ended: why the run has ended; None while it goes on. The next decision starts a new run.
     """
 
@@ -149,9 +149,10 @@ class DecisionTwin:
         learn: bool = False,
         lost: Sequence[int] = NOTHING_LOST,
     ) -> None:
-        """Start at the path's begin. Without an estimator given it is the twin of the robot's own.
+        """Start at the beginning of the path.
 
-        With ``learn`` that one learns what limbs have lost, from the shares ``lost`` on, and plans with it.
+        Without ``estimator`` the twin of the robot's own is used. With ``learn`` it estimates the wear of the
+        limbs, starting from the shares ``lost``, and plans with it.
         """
         self.tables = tables
         self._config = config
@@ -166,7 +167,7 @@ class DecisionTwin:
 
     @property
     def wear(self) -> WearFilter | None:
-        """What it learns of the limbs; None: nothing."""
+        """Its estimate of the limbs' wear; None without one."""
         return self._track.wear
 
     def add_fix(self, capture_us: int, pose_world: Float32, sequence: int) -> int:
@@ -181,16 +182,16 @@ class DecisionTwin:
         self._estimator.act(at_us, self._resting_action if action == RESTING else action)
 
     def change_path(self, path: Path) -> None:
-        """Follow another path from the next decision with an estimate on."""
+        """Follow another path from the next decision that has an estimate."""
         self._follow.coming = path
 
     def restart(self) -> None:
-        """Start a new run at the begin of the newest path."""
+        """Start a new run at the beginning of the newest path."""
         self._follow.begin()
         self.ended = None
 
     def apply(self, event: RobotEvent) -> Decision | None:
-        """Apply an event of the robot; return the decision where it is one."""
+        """Apply an event of the robot; return the decision if the event is one."""
         if event.pose_world is not None:
             self.add_fix(event.time_us, event.pose_world, event.sequence)
         elif event.action is not None:
@@ -211,7 +212,7 @@ class DecisionTwin:
     def decide(self, at_us: int) -> Decision:
         """Decide for a time on the clock of the fixes; the estimator takes the action as started.
 
-        A path that has come takes over where there is an estimate.
+        A new path takes over if there is an estimate.
         """
         if self.ended is not None:
             self.restart()
@@ -221,7 +222,7 @@ class DecisionTwin:
         return decision
 
     def _decision_at(self, at_us: int) -> Decision:
-        """Estimate and plan as the robot does; the path is followed, and ends the run where it is due."""
+        """Estimate and plan as the robot does; the run ends at the end of the path."""
         tables, follow = self._track.tables, self._follow
         lost = (*tables.lost.tolist(), *(0,) * (LIMBS_MAX - len(tables.lost)))
         resting = Decision(STALE, self._resting_action, at_us, along_points=follow.along_points, lost=lost)
@@ -270,7 +271,7 @@ class LiveCheck:
     """Compares a robot's decisions with the host's bit by bit while the run goes on.
 
     The twin gets the inputs that the robot reports, in its order and on its clock. Once frames from the robot
-    may have been lost, the twin's inputs are incomplete, and no further decision is compared.
+    may have been lost, the twin's inputs are incomplete. No further decision is compared then.
 
     Attributes:
         agreed: decisions that are the same on the host.
@@ -285,7 +286,7 @@ class LiveCheck:
         self._names: list[str] = []
 
     def begin(self, twin: DecisionTwin) -> None:
-        """Start a run of a robot with its twin, which has learned what the robot has."""
+        """Start a run of a robot with its twin, which has the robot's wear estimate."""
         self.agreed = self.unchecked = 0
         self._twin, self._names = twin, [row.name for row in twin.tables.actions]
 

@@ -20,10 +20,10 @@ from frogkick.runs.runlog import RunLog
 
 
 def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
-    """Write fixes.csv, decisions.csv, strokes.csv, run.json, and path.csv and truth.csv where a run has them.
+    """Write fixes.csv, decisions.csv, strokes.csv, run.json, and path.csv and truth.csv if a run has them.
 
     A column's name ends with its unit; a dataset of several numbers gives several columns
-    (``estimate_vx_mps``). Missing values are empty. The folder is made where it is missing.
+    (``estimate_vx_mps``). Missing values are empty. The folder is made if it does not exist.
 
     Returns:
         Names of the files.

@@ -1,4 +1,4 @@
-"""A session with a real robot over a wire: real time, lost connections, and clocks that are set or reset."""
+"""A session with a real robot: in real time, with lost connections, and clocks that are set or reset."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from frogkick.tables.image import Tables
 
 RESEND_S = 0.25
 LOOK_S = 0.1
-"""Longest wait: a clock that was set back during it is noticed only afterwards."""
+"""Longest wait. If the clock is set back during a wait, this is noticed only afterwards."""
 TIMED = ("FIX", "STROKE")
-"""Commands that are useless later: they are never sent again."""
+"""Commands that are useless later, so they are never sent again."""
 ANSWER_S = 2.0
-"""Shortest timeout of an answer: a busy host is late itself."""
+"""Shortest timeout of an answer, because a busy host may itself be late."""
 HELLO_TRIES = 2
 CLOCK_SAMPLES = 5
 SAFE_S = 5.0
 CLOCK_BACK_S = 0.01
-"""Largest step back of this computer's clock: the host would wait longer, with the robot armed."""
+"""Largest allowed step back of this computer's clock: the host would wait longer, with the robot armed."""
 CLOCK_AHEAD_S = 0.2
-"""Largest advance of this computer's clock over the robot's: a fix may be older than it seems by as much."""
+"""Largest allowed advance of this computer's clock over the robot's; a fix may be older by as much."""
 CLOCK_DRIFT = 1e-3
-"""Part of the elapsed time that is allowed besides: twice the drift of a robot without a crystal."""
+"""Additional allowance, as a share of the elapsed time: twice the drift of a robot without a crystal."""
 PAUSE_S = 1.0
 """A longer time between two steps means that the program was held up or its clock was set."""
 SWITCH_S = 0.002
@@ -58,7 +58,7 @@ class LabPort:
     """A ``RobotPort`` over a wire. Its clock is this computer's, from 0 at the port's start.
 
     At most ``window`` commands wait for answers; a command without an answer is sent again, and the robot
-    acts on it once. Position fixes overtake commands and are never sent again. Pin edges are not seen.
+    acts on it once. Position fixes overtake commands and are never sent again. Pin edges cannot be observed.
 
     Attributes:
         wire: the wire.
@@ -224,7 +224,7 @@ class LabSession(Session):
         return 0.0 if self._offset_us is None else here_s - (robot_us - self._offset_us) * 1e-6
 
     def _compare_clocks(self) -> None:
-        """Compare this computer's clock with the robot's, which nobody sets."""
+        """Compare this computer's clock with the robot's, which is never set."""
         if self._clock_failed or self._offset_us is None or self.port.wire.connections != self._connections:
             return
         self._clock_failed = True  # no check during the request

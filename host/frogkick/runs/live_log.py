@@ -27,12 +27,12 @@ CHUNK_ROWS = 256
 GATHER_S = 0.02
 SPEED_MAX_MPS = 0.05
 HOLDS_MAX = 200
-"""Paths that hold, of which a log in progress has room for: about an hour. The complete one has them all."""
+"""Number of holding paths that a log in progress has room for: about an hour. The complete log has all."""
 CUT_OFF = "cut off while it ran"
 
 
 _Write = tuple[str, Any, Any]
-"""A dataset, a place in it (None: after its end; _WHOLE: instead of what it holds), and the values there."""
+"""A dataset, a position in it (None: append; _WHOLE: replace the content), and the values."""
 _WHOLE = slice(None)
 
 
@@ -160,9 +160,10 @@ class LiveLog:
                 self._condition.wait_for(lambda: self._closing, GATHER_S)
 
     def _write(self, writes: list[_Write]) -> None:
-        """Write and flush what changes in earlier rows, then new fixes, then paths, then decisions.
+        """Write and flush changes in earlier rows, then new fixes, then paths, then decisions.
 
-        So a decision in a log that is cut off has all that was known before it, and the path that it follows.
+        In an interrupted log, everything that was known before a decision is therefore present, and the path
+        that it follows.
         """
         parts: dict[str, list[AnyArray]] = {}
         for name, place, values in writes:

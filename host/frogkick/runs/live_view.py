@@ -78,7 +78,7 @@ class LiveView:
     outline_m: Sequence[tuple[float, float]]  # (n)(2) outline of the robot, body frame
     camera: CameraView | None = None  # where its pictures are shown; the state is given in their pixels too
     text: str = "{}"  # the newest state
-    path: Path | None = None  # the one that is followed now
+    path: Path | None = None  # the path that is followed now
     _decisions: int = -1
     _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
     _labels: dict[str, Any] = field(default_factory=dict)

@@ -1,6 +1,6 @@
 """Parity scenario: a closed loop from fixes to decisions, the same bits in all builds of the core.
 
-Where a table has wear curves, what limbs have lost is learned.
+If the table has wear curves, the wear of the limbs is estimated.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from frogkick.tables.image import Tables
 
 FIRST_S = 2.0
 _BESIDE = (0.01, -0.005, 0.05)
-"""Pose at which the path is placed that takes over for a third of the decisions."""
+"""Pose of the start of the path that takes over for a third of the decisions."""
 
 _RATES_HZ = (2.0, 15.0, 60.0)
 _WORN_SHARE = 20_000
-"""Of 32767: what a limb loses after a third of the decisions, where the table has wear curves."""
+"""Share (of 32767) that a limb loses after a third of the decisions, if the table has wear curves."""
 
 _SILENCE_S = 1.2
-"""Longer than an estimate is valid, shorter than what ends a run."""
+"""A gap in the fixes that is longer than an estimate is valid, and shorter than the gap that ends a run."""
 
 
 @dataclass(frozen=True, eq=False)

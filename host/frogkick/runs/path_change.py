@@ -1,6 +1,6 @@
-"""Paths that take over during a run: when each is sent to the robot, and from which decision on it counts.
+"""Paths that take over during a run: when each is sent to the robot, and which decision first follows it.
 
-Also ``run --hold``: which path holds a robot at the end of the one that it follows.
+Also ``run --hold``: the paths that hold a robot at the end of the path that it follows.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from frogkick.runs.session import LinkError, Session
 
 TRIES = 3
 HOLD_LIMIT_M = 0.1
-"""From the end of a path: a robot that holds there shall stay as near."""
+"""Largest distance from the end of a path for a robot that holds there."""
 AGAIN_POINTS = 2
-"""Points of its second lap after which a robot is sent laps again: it goes on in their first lap."""
+"""After this many points of its second lap the robot is sent new laps, and continues in their first one."""
 SHIFT_GAIN = 0.7
-"""Share of how far the last lap's circle lay beside the end by which the next laps are moved against it."""
+"""Gain of the integral controller: share of the last lap's offset by which the next laps are moved."""
 SHIFT_MAX_M = 0.08
 """Largest distance of a circle's centre from the end."""
 
@@ -36,8 +36,8 @@ SHIFT_MAX_M = 0.08
 class NextPath:
     """A path that takes over during a run."""
 
-    path: Path  # where to swim then, world frame
-    at_s: float  # when, since the first decision
+    path: Path  # the path, world frame
+    at_s: float  # time since the first decision
     # the path is moved, so that it begins where the robot then is, and leads where it points
     here: bool = False
 
@@ -52,7 +52,7 @@ class PathSender:
         self._sequence = -1
 
     def begin(self, path: Path) -> None:
-        """Send the first part; one that is still on its way is given up."""
+        """Send the first part; a path that is still being sent is abandoned."""
         self._path = path
         columns = (path.x_m.tolist(), path.y_m.tolist(), path.tangent_rad.tolist())
         self._parts = list(path_frames(list(zip(*columns, strict=True))))
@@ -65,7 +65,7 @@ class PathSender:
         self._sent += 1
 
     def answered(self, frame: Frame) -> Path | None:
-        """Take an answer to PATH and send the next part; return the path where it has all arrived.
+        """Process an answer to PATH and send the next part; return the path once all of it has arrived.
 
         Raises:
             LinkError: the robot refuses it again and again.
@@ -89,13 +89,13 @@ class PathSender:
 
 
 class Holding:
-    """Sends a join and laps before a path ends, and laps again after each lap.
+    """Sends an approach and laps before a path ends, and new laps after each lap.
 
-    A current or a worn limb carries the robot away from its circle. So laps are moved against the mean
-    offset of the lap before (an integral controller).
+    A current or a worn limb carries the robot away from its circle. The laps are therefore moved against the
+    mean offset of the previous lap (an integral controller).
 
     Attributes:
-        began: the robot has come to the circle about the end of its path.
+        began: the robot has reached the circle around the end of its path.
     """
 
     def __init__(self, path: Path, radius_m: float) -> None:
@@ -105,10 +105,10 @@ class Holding:
         self._follow(path)
 
     def _follow(self, path: Path) -> None:
-        """A path that leads on is followed: it ends a hold."""
+        """An ordinary path is followed from now on, which ends a hold."""
         self._hold: Hold = hold_at_end(path, self._radius_m)
         along_m = path.along_m
-        # Early enough that it arrives, and late enough that the robot goes on where it is.
+        # Early enough to arrive in time, and late enough that the robot continues at its position.
         early_m = self._hold.leave_m - (LEAD - 0.5) * self._radius_m
         is_short = self._hold.leave_m > along_m[-1]
         self._send_at = 0 if is_short else int(np.searchsorted(along_m, early_m))
@@ -133,7 +133,7 @@ class Holding:
         return self._laps
 
     def followed(self, path: Path) -> tuple[float, float, int] | None:
-        """Take note that a path has taken over; return what a log says of one that holds, else None."""
+        """Record that a path has taken over; return its entry in the log if it holds, else None."""
         if path is self._hold.entry:
             self._circle_point = self._hold.circle_point
         elif path is self._laps:
@@ -147,7 +147,7 @@ class Holding:
         return (*self._hold.end_m, self._circle_point)
 
     def decided(self, decision: Decision) -> None:
-        """Take note of a decision: the hold begins where the robot comes to the circle."""
+        """Record a decision; the hold begins when the robot reaches the circle."""
         if self._circle_point is None or decision.status == STALE:
             return
         if decision.path_index >= self._circle_point:
@@ -161,15 +161,15 @@ class PathChanges:
     """The paths that follow a run's first one."""
 
     planned: Sequence[NextPath]  # in the order of their times
-    made: list[PathChange] = field(default_factory=list)  # those that are followed already
-    holding: Holding | None = None  # holds at the end of whatever path is followed; None: the run ends there
+    made: list[PathChange] = field(default_factory=list)  # the paths that have taken over
+    holding: Holding | None = None  # holds at the end of the path that is followed; None: the run ends there
     _begun: int = 0
     _arrived: Path | None = None
 
     def due(self, since_s: float, fixes: Sequence[Fix], decisions: Sequence[Decision]) -> Path | None:
         """Return the path to send now, ``since_s`` after the first decision, or None.
 
-        The newest fix says where the robot is, and the last decision how far along its path.
+        The newest fix gives the robot's position, and the last decision its progress along the path.
         """
         if self._begun < len(self.planned) and since_s >= self.planned[self._begun].at_s:
             following = self.planned[self._begun]
@@ -181,11 +181,11 @@ class PathChanges:
         return None if self.holding is None else self.holding.due(decisions)
 
     def arrived(self, path: Path) -> None:
-        """Take note that whoever decides has a path."""
+        """Record that the planner, on the robot or the host, has received a path."""
         self._arrived = path
 
     def decided(self, decisions: Sequence[Decision]) -> None:
-        """Take note of a decision, the last one: without an estimate a path waits for the next one."""
+        """Record the last decision; if it had no estimate, a new path waits for the next one."""
         if self._arrived is not None and decisions[-1].status != STALE:
             hold = None if self.holding is None else self.holding.followed(self._arrived)
             self.made.append(PathChange(len(decisions) - 1, self._arrived, hold))
@@ -195,15 +195,14 @@ class PathChanges:
 
     @property
     def holds(self) -> bool:
-        """Whether the robot has come to circle the end of its path."""
+        """Whether the robot has begun to circle the end of its path."""
         return self.holding is not None and self.holding.began
 
 
 def hold_spans(
     time_s: Float64, path_index: Sequence[int], changes: Sequence[PathChange]
 ) -> list[tuple[float, float, tuple[float, float]]]:
-    """Begin and end of each time on a circle, s, and the end that it is about, by each decision's time and
-    place on its path."""
+    """Begin and end (s) of each hold and the point circled, by each decision's time and place on the path."""
     index = np.asarray(path_index)
     spans: list[tuple[float, float, tuple[float, float]]] = []
     goes_on = False

@@ -1,6 +1,7 @@
 """Position fixes for a kit without limbs, from a simulated pool that gets the strokes the kit reports.
 
-Only the water is simulated: firmware, chip, its clock, its line and this program run in real time.
+Only the robot in its water is simulated. Firmware, chip, clock, serial line and this program run in real
+time.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from frogkick.runs.record import Recording
 from frogkick.tables.image import Tables
 
 LAG_S = 0.1
-"""Delay of the pool behind the clock, a little more than that of a camera or of a reported stroke."""
+"""Delay of the pool behind the clock, slightly more than that of a camera or of a reported stroke."""
 HELD_UP_S = 1.0
 """The pool's clock skips a longer time without a call, as while the program waits for Enter."""
 

@@ -1,6 +1,6 @@
 """Changes to a robot at rest over the link: a new table, the previous table, an owner's key.
 
-All raise ``LinkError`` where the robot has another protocol, refuses, or does not answer.
+All raise a ``LinkError`` if the robot has another protocol version, refuses, or does not answer.
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ def roll_back(session: Session) -> Pushed:
     begin_s = session.time_s
     here = session.request("TABLE_STATUS")
     if here["previous_crc"] == here["running_crc"]:
-        raise LinkError(f"the robot keeps no other table than {int(here['running_crc']):08x}: send it one")
+        raise LinkError(
+            f"the robot keeps no table besides {int(here['running_crc']):08x}: send it one with "
+            "'frogkick push'"
+        )
     session.request("TABLE_ROLLBACK", {"table_crc": here["previous_crc"]})
     return _pushed(session, 0, 0, begin_s)
 

@@ -1,4 +1,4 @@
-"""What a run is given and has recorded, its log, and how well it followed its path."""
+"""The settings and the record of a run, its log, and how well it followed its path."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ BATTERY_V = "battery_v"
 """Key of ``RunLog.measured``: lowest battery voltage, measured by a person before the run."""
 
 LEARN, LOST = "learn", "lost_"
-"""In ``RunLog.made`` of a run that learned: the limbs. Before a name in ``RunLog.measured``: its share."""
+"""Key in ``RunLog.made`` of a run that estimated wear: its limbs. Prefix in ``measured``: of their shares."""
 
 CANNOT_FOLLOW = "cannot follow"
-"""How the reason begins for which a run ended that lacked a limb."""
+"""The beginning of the reason why a run with a lost limb ended."""
 
 LOST_FOR = 3
-"""Decisions in a row for which a limb must seem lost to be called so."""
+"""Number of successive decisions with a limb estimated as lost, after which it is named as lost."""
 
 BELIEVED_AGAIN = 0.5
-"""Lost share below which a limb that was lost no longer is."""
+"""Lost share below which a limb that was named as lost works again."""
 
 UNKNOWN = (-1, -1)
-"""What the columns ``heard_*`` have for a fix that was not heard, ``rested_*`` for a stroke that was swum."""
+"""Values of ``heard_*`` for a fix that was not received, and of ``rested_*`` for a stroke that was fired."""
 
 _REQUIRED = (*list(WEIGHTS)[:4], "depth")
 """Planner settings that every log has; older logs lack the others, which keep their defaults."""
@@ -74,7 +74,7 @@ class RunOptions:
     time_limit_s: float = 120.0  # longest time from the first decision on
     check: LiveCheck | None = None  # compares each decision of the robot with the host's; None: no comparison
     stop: Callable[[], bool] = lambda: False  # polled at each step; True ends the run
-    learn: bool = False  # whoever decides learns what the limbs have lost, and plans with it
+    learn: bool = False  # the planner, on robot or host, estimates the limbs' wear and plans with it
     then: tuple[NextPath, ...] = ()  # paths that take over during the run, in the order of their times
     # radius of the circle on which the robot holds at its path's end, m; None: the run ends there
     hold_m: float | None = None
@@ -82,7 +82,10 @@ class RunOptions:
 
 @dataclass
 class Recording:
-    """A run: what is followed, how, and all that has happened so far. ``log`` tells it in columns."""
+    """A run: its path and settings, and everything that has happened so far.
+
+    ``log`` returns it in columns.
+    """
 
     robot: Robot
     tables: Tables
@@ -101,19 +104,19 @@ class Recording:
     capture_us: list[int | None] = field(default_factory=list)
     # the robot's answer to each fix (``frames.toml``); None if no answer came
     fix_status: list[int | None] = field(default_factory=list)
-    # of each fix its capture time, us, on the clock of whoever decides, and how many decisions came before
-    # it; None: his estimator did not get it
+    # of each fix its capture time, us, on the planner's clock (robot or host), and the number of decisions
+    # before it; None: the estimator did not receive it
     heard: list[tuple[int, int] | None] = field(default_factory=list)
     # inputs of the robot's estimator and planner, in its order: they reproduce its decisions
     events: list[RobotEvent] = field(default_factory=list)
-    # index of a decision whose stroke the guard refused -> since when the robot rested instead, us, on the
-    # clock of whoever decides, and how many fixes he had before he knew it
+    # index of a decision whose stroke the guard refused -> time from which the robot rested instead, us, on
+    # the planner's clock, and the number of fixes that it had received before it knew
     rested: dict[int, tuple[int, int]] = field(default_factory=dict)
     # decisions, edges: decisions and pin edges in order
     decisions: list[Decision] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
     then: list[PathChange] = field(default_factory=list)  # paths that took over, and from which decision on
-    completed: bool = False  # the robot reached the path's end, or held it until the run was ended
+    completed: bool = False  # the robot reached the end of the path, or held there until the run was ended
     ended: str = ""  # why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED
     fixes_refused: int = 0  # the robot's own counter
     # first_decision_s, end_s: session time
@@ -268,7 +271,7 @@ class Recording:
 
 
 def _ended(ended: str, lost: Mapping[str, float]) -> str:
-    """Why a run ended; of one that could not follow its path, also which limbs it lacks."""
+    """Why a run ended; if it could not follow its path, also which limbs are lost."""
     gone = [key.removeprefix(LOST) for key, share in lost.items() if share * LOST_MAX >= LIMB_GONE]
     if gone and ended in (End.STALLED.value, End.PASSED.value):
         return f"{CANNOT_FOLLOW} without {', '.join(gone)}: {ended}"
@@ -276,18 +279,18 @@ def _ended(ended: str, lost: Mapping[str, float]) -> str:
 
 
 def learned_limbs(run: RunLog) -> list[str]:
-    """Names of the limbs of a run that learned, in the order of the column ``lost`` of its decisions."""
+    """Limbs of a run that estimated wear, in the order of the column ``lost`` of its decisions."""
     return run.made[LEARN].split(", ") if LEARN in run.made else []
 
 
 def lost_at_start(run: RunLog) -> tuple[int, ...]:
-    """Share of its contribution that each limb had lost, as known at the run's start: (8,), 0 to 32767."""
+    """(8,) estimated share of each limb's contribution lost at the start of the run, 0 to 32767."""
     learned = run.decisions.extra.get("lost")
     return NOTHING_LOST if learned is None or not len(learned) else tuple(int(code) for code in learned[0])
 
 
 def lost_of(run: RunLog) -> dict[str, float] | None:
-    """Share of its contribution that each limb had lost, as learned by the run's end; None: nothing."""
+    """Limb -> estimated share of its contribution lost at the end of the run; None without an estimate."""
     learned = run.decisions.extra.get("lost")
     if learned is None or not len(learned):
         return None
@@ -295,13 +298,13 @@ def lost_of(run: RunLog) -> dict[str, float] | None:
 
 
 def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
-    """When a run that learned named a limb, and when it believed in it again; None: it did not learn.
+    """When a limb was named as worn or lost, and when it worked again; None: the run did not estimate wear.
 
     Returns:
-        In order of time, each with ``time_s`` of the decision, ``limb``, ``event`` and the lost ``share``:
-        ``worn``: something; ``lost``: at least 0.8 of its contribution in LOST_FOR decisions in a row, as a
-        limb that misfires seldom seems to; ``works``: less than 0.5 after it was lost, or nothing after it
-        was worn.
+        In order of time, each with ``time_s`` of the decision, ``limb``, ``event`` and the lost ``share``.
+        Events: ``worn``: a share above 0; ``lost``: at least 0.8 of its contribution in LOST_FOR successive
+        decisions, which is rare for a limb that misfires; ``works``: less than 0.5 after it was lost, or 0
+        after it was worn.
     """
     if "lost" not in run.decisions.extra:
         return None
@@ -381,7 +384,7 @@ def along_paths(
 ) -> tuple[float, float, float]:
     """The same for paths that follow each other, each with the time from which on it is followed.
 
-    Progress is that until a time: a robot that holds at an end makes none.
+    Progress is counted until ``until_s``, because a robot that holds at an end makes none.
     """
     if len(time_s) < 2:
         return 0.0, 0.0, 0.0
@@ -406,7 +409,7 @@ def distances_m(
 
 
 def _followed(paths: Sequence[tuple[float, Path]], time_s: np.ndarray) -> Iterator[tuple[Path, np.ndarray]]:
-    """Each path, and the rows of the times at which it was followed, in order; not where there are none."""
+    """Each path that was followed, in order, and the rows of the times at which it was."""
     newest = np.searchsorted([from_s for from_s, _ in paths], time_s, side="right") - 1
     for index, (_, path) in enumerate(paths):
         rows = np.flatnonzero(newest == index)

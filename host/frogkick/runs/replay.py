@@ -1,4 +1,4 @@
-"""Replay: recorded fixes decided again by the robot, the host, or both, which are then compared."""
+"""Replay: decisions from recorded fixes, repeated by the robot, the host, or both and compared."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ from frogkick.tables.image import Tables
 LEAD_IN_S = 1.0  # robot time before the recorded run's time zero, for path and parameters
 START_AHEAD_S = 0.2  # from ARM and START to the first decision
 STEP_S = 0.02
-_AHEAD_US = 6000  # a fix is sent so long before the decision that it was heard before
-_PATH_US = 25_000  # a part of a path on the line, at most
-_COORDINATE_MOST = 1e6  # of a fix, m or rad: beyond any pool, and within float32
+_AHEAD_US = 6000  # a fix is sent this long before the decision before which it was received
+_PATH_US = 25_000  # longest time of a part of a path on the line
+_COORDINATE_MOST = 1e6  # limit of a fix, m or rad: beyond any pool, and within float32
 
 
 @dataclass(frozen=True)
 class Replay:
     """Result of a replay."""
 
-    actions: list[str]  # name of each decision's action, of the robot where it took part, else of the host
-    recorded: list[str | None]  # the same of the recorded run; None where unknown
+    actions: list[str]  # name of each decision's action: the robot's if it took part, else the host's
+    recorded: list[str | None]  # the same of the recorded run; None if unknown
     # onboard, host: decisions of each; empty without it
     onboard: list[Decision]
     host: list[Decision]
@@ -55,7 +55,7 @@ class Replay:
 
     @property
     def agreement(self) -> float | None:
-        """Share of decisions with the recorded action; None where none is known."""
+        """Share of decisions with the recorded action; None if none is known."""
         known = [a == r for a, r in zip(self.actions, self.recorded, strict=True) if r is not None]
         return float(np.mean(known)) if known else None
 
@@ -70,11 +70,11 @@ class Schedule:
     period_us: int
     decisions: int
     then: tuple[PathChange, ...] = ()  # paths that take over
-    # index of the action that was swum after each decision; None: not known
+    # index of the action that was fired after each decision; None: not known
     strokes: tuple[int | None, ...] = ()
-    # decision -> since when the robot rested, us, as its guard refused the stroke, and after how many fixes
+    # decision whose stroke the guard refused -> time from which the robot rested, us; number of fixes before
     rested: Mapping[int, tuple[int, int]] = field(default_factory=dict)
-    # of each fix its capture time, us, and how many decisions come before it; (): as their times say
+    # of each fix its capture time, us, and the number of decisions before it; (): by the fixes' times
     heard: tuple[tuple[int, int], ...] = ()
 
     def decided_us(self, index: int) -> int:
@@ -82,7 +82,7 @@ class Schedule:
         return self.first_us + index * self.period_us
 
     def heard_of(self, row: int) -> tuple[int, int]:
-        """Capture time of a fix, us, and how many decisions come before it."""
+        """Capture time of a fix, us, and the number of decisions before it."""
         if self.heard:
             return self.heard[row]
         arrival_s, fix = self.fixes[row]
@@ -154,14 +154,14 @@ def replay(
 ) -> Replay:
     """Give a run's fixes to the planner at their recorded times, and decide at the recorded times.
 
-    The strokes that it decides have no effect. On the host alone they are taken to be those that were swum,
-    so that a decision which differs does not spoil the estimates after it; a robot takes its own for granted,
-    and its limbs are cool: it swims also where the recorded robot's guard refused a stroke.
+    The decided strokes have no effect. On the host alone, the strokes of the recorded run are assumed to have
+    been fired, so that a decision that differs does not corrupt later estimates. A robot assumes its own
+    strokes. Its limbs are cool, so it also fires the strokes that the recorded robot's guard had refused.
 
     Args:
         run: recorded run with its path.
         tables, config: for the planner.
-        port: a robot with these tables that knows of its limbs what the recorded one knew at the run's start
+        port: a robot with this table and the wear estimate that the recorded one had at the start of the run
             (``lost_at_start``); None: the host alone.
         host: whether the host's twins decide too.
         progress: called with decisions done and to do.
@@ -205,10 +205,10 @@ def replay_on_host(events: Sequence[RobotEvent], twin: DecisionTwin) -> list[Dec
 
 
 def _events_of(schedule: Schedule) -> list[RobotEvent]:
-    """The events of a robot on this schedule: of each decision first what came before it."""
+    """The events of a robot on this schedule; for each decision, first those before it."""
     # Before a decision a path, and fixes by their rows; then the decision, and its stroke.
     ordered: list[tuple[tuple[int, int, float], RobotEvent]] = []
-    for change in schedule.then:  # when it came is not known: at once after the decision before
+    for change in schedule.then:  # its time of arrival is not known: directly after the previous decision
         ordered.append(((change.decision, 0, 0), RobotEvent(0, path=change.path)))
     for row, (_, fix) in enumerate(schedule.fixes):
         capture_us, before = schedule.heard_of(row)
@@ -226,21 +226,21 @@ def _events_of(schedule: Schedule) -> list[RobotEvent]:
 
 @dataclass
 class _Line:
-    """The line to a robot in simulated time, on which a fix shall be read at the microsecond that is wanted.
+    """The line to a robot in simulated time, on which each fix shall be read at a given microsecond.
 
     Attributes:
-        late_us: from a frame's last byte to its reading, as of the last fix.
-        free_us: time at which the line has sent what was posted.
+        late_us: time from a frame's last byte to its reading, for the last fix.
+        free_us: time at which the line has sent all posted frames.
     """
 
     session: Session
     late_us: int = 0
     free_us: int = 0
-    # sequence number of a fix -> when it shall be read, and the age that it says
+    # sequence number of a fix -> time at which it shall be read, and its stated age
     sent: dict[int, tuple[int, int]] = field(default_factory=dict)
 
     def read_us(self, name: str, values: dict[str, Value]) -> int:
-        """When a frame is read that is posted now."""
+        """Time at which a frame that is posted now is read."""
         return self._now_us + self._wire_us(name, values) + self.late_us
 
     @property
@@ -252,7 +252,7 @@ class _Line:
         return round(len(pack_frame(name, "command", 0, values)) * BYTE_S * 1e6)
 
     def post_path(self) -> None:
-        """Take note that a part of a path was posted."""
+        """Record that a part of a path was posted."""
         self.free_us = max(self.free_us, self._now_us) + _PATH_US
 
     def post_fix(self, fix: Fix, capture_us: int) -> int:
@@ -266,7 +266,7 @@ class _Line:
         return sequence
 
     def answered(self, frame: Frame) -> None:
-        """Learn from the answer to a fix how late it was read."""
+        """Measure from the answer to a fix how late it was read."""
         read_us, age_us = self.sent.pop(frame.sequence)
         if frame.values["capture_us"]:
             self.late_us = int(frame.values["capture_us"]) + age_us - read_us
@@ -281,7 +281,7 @@ def replay_onboard(
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     learn: bool = False,
 ) -> tuple[list[Decision], list[RobotEvent]]:
-    """Let a robot decide on a schedule's fixes; ``learn``: and learn what its limbs have lost.
+    """Let a robot decide on a schedule's fixes, with ``learn`` also estimate the wear of its limbs.
 
     Returns:
         Its decisions, and its events for ``replay_on_host``.
@@ -303,7 +303,7 @@ def replay_onboard(
     running = False
 
     def due_s() -> float:
-        """When the next fix is to be sent: at its arrival, and between the decisions that are known of it."""
+        """Time at which to send the next fix: at its arrival, and between the right decisions."""
         arrival_s, _, capture_us, before = waiting[0]
         if line is None:
             return arrival_s
@@ -315,7 +315,7 @@ def replay_onboard(
     while len(decisions) < schedule.decisions:
         next_us = schedule.first_us + len(decisions) * schedule.period_us
         if not running and next_us * 1e-6 - session.time_s < START_AHEAD_S:
-            # Also after the robot ended its run at the path's end: the recorded robot swam on.
+            # Also after the robot's run has ended at the end of the path: the recorded robot continued.
             running = _start(session, next_us, line)
         if running and changes and len(decisions) >= changes[0].decision:
             sender.begin(changes.pop(0).path)
@@ -347,15 +347,17 @@ def replay_onboard(
             elif frame.name == "ENDED":
                 running = False
         if session.time_s * 1e6 > next_us + 5 * schedule.period_us:
-            raise LinkError(f"the robot made no decision after {len(decisions)}: is it disarmed?")
+            raise LinkError(
+                f"the robot made no decision after {len(decisions)}: see its log ('frogkick log fetch')"
+            )
     session.request("DISARM")
     return decisions, events
 
 
 def _start(session: Session, first_us: int, line: _Line | None) -> bool:
-    """ARM, and START with its first decision at a time; False where the robot has no fix yet.
+    """ARM, and START with the first decision at a given time; False if the robot has no fix yet.
 
-    On a ``line`` a START that was read at another microsecond than expected is stopped and repeated.
+    On a ``line``, a START that was read at another microsecond than expected is stopped and repeated.
     """
     session.request("ARM")
     late_us = 0

@@ -26,21 +26,21 @@ Array = NDArray[Any]
 class FixFlag(enum.IntFlag):
     """Bits of `fixes/flags`."""
 
-    UNTRUSTED_TIME = 1  # the frame is real, its time is not: capture_time_s is NaN
+    UNTRUSTED_TIME = 1  # the frame is valid, but its time is not; capture_time_s is NaN
     AFTER_GAP = 2  # frames were lost before this one
-    MISDETECTION = 4  # the pose is not the robot's: quality is 0
-    JUMP = 8  # farther from its neighbour than the robot can go; which of the two is wrong is unknown
-    MISSING = 16  # the fix was lost: its pose is NaN
+    MISDETECTION = 4  # a wrong detection, so the pose is not the robot's; quality is 0
+    JUMP = 8  # farther from the previous fix than the robot can move; which of the two is wrong is unknown
+    MISSING = 16  # the fix was lost; its pose is NaN
     AT_REST = 32  # before the first stroke
     REPAIRED_STAMP = 64  # time_s is not the stamp in the file
-    DUPLICATE = 128  # exactly the pose of the row before, so no new picture: quality is 0
+    DUPLICATE = 128  # exactly the pose of the previous row, so no new picture; quality is 0
 
 
 class DecisionFlag(enum.IntFlag):
     """Bits of `decisions/flags`."""
 
-    NO_PLAN = 1  # decided without a plan: cost, estimate, predicted and plan_s are NaN
-    UNSEEN = 2  # nothing in the record shows which action it was: action is -1
+    NO_PLAN = 1  # decided without a plan; cost, estimate, predicted and plan_s are NaN
+    UNSEEN = 2  # the recording does not show the action; action is -1
 
 
 @dataclass(frozen=True)
@@ -129,11 +129,13 @@ class Fixes(_Group):
     """Position fixes in order of arrival.
 
     Attributes:
-        time_s: (n,) s, arrival at the logger.
-        capture_time_s: (n,) s, when the picture was taken; NaN only where flagged UNTRUSTED_TIME or MISSING.
-        x_m, y_m, heading_rad: (n,) world; heading in (-pi, pi]; NaN only where flagged MISSING.
-        quality: (n,) 0 (do not use) or 1.
-        flags: (n,) FixFlag bits.
+        time_s: (n,) arrival at the logger.
+        capture_time_s: (n,) time at which the picture was taken; NaN only where flagged UNTRUSTED_TIME or
+            MISSING.
+        x_m, y_m: (n,) position, world frame; NaN only where flagged MISSING.
+        heading_rad: (n,) heading, world frame, in (-pi, pi]; NaN only where flagged MISSING.
+        quality: (n,) 1, or 0 for a fix that must not be used.
+        flags: (n,) bits of FixFlag.
     """
 
     NAME = "fixes"
@@ -163,12 +165,15 @@ class Decisions(_Group):
     """Decisions, one row per period.
 
     Attributes:
-        time_s: (n,) s.
-        action: (n,) index into RunLog.action_names, -1 only where flagged UNSEEN.
-        fix_sequence: (n,) row of `fixes` that was the newest, -1 where there was none.
-        flags: (n,) DecisionFlag bits.
-        cost, plan_s: (n,) or None if the run has none.
-        estimate, predicted: (n, 6) x m, y m, heading rad (world), vx, vy m/s, omega rad/s (body), or None.
+        time_s: (n,) time of the decision.
+        action: (n,) index into the actions' names; -1 only where flagged UNSEEN.
+        fix_sequence: (n,) row of `fixes` that was the newest one; -1 without one.
+        flags: (n,) bits of DecisionFlag.
+        cost: (n,) cost of the chosen sequence of actions; None if the run has none.
+        estimate: (n, 6) estimated state: x, y, heading (world frame), forward, left velocity, turn rate (body
+            frame); None if the run has none.
+        predicted: (n, 6) the state predicted for the end of the period, likewise; None if the run has none.
+        plan_s: (n,) computing time of the planner; None if the run has none.
     """
 
     NAME = "decisions"
@@ -187,7 +192,13 @@ class Decisions(_Group):
 
 @dataclass(frozen=True, eq=False)
 class Strokes(_Group):
-    """Pulses: time_s (n,), limb_mask (n,) bit i = limb i, pulse_s (n,)."""
+    """Pulses of the limbs.
+
+    Attributes:
+        time_s: (n,) start of the pulse.
+        limb_mask: (n,) limbs that are heated: bit i for limb i.
+        pulse_s: (n,) duration of the pulse.
+    """
 
     NAME = "strokes"
     limb_mask: Annotated[Array, Column("bits", "u1")]
@@ -196,7 +207,13 @@ class Strokes(_Group):
 
 @dataclass(frozen=True, eq=False)
 class Truth(_Group):
-    """The robot's true motion in a simulated pool: time_s (n,), pose_world (n, 3), velocity_body (n, 3)."""
+    """The robot's true motion in a simulated pool, which neither planner nor identification reads.
+
+    Attributes:
+        time_s: (n,) time in the run.
+        pose_world: (n, 3) true x, y, heading, world frame.
+        velocity_body: (n, 3) true forward, left velocity and turn rate, body frame.
+    """
 
     NAME = "truth"
     pose_world: Annotated[Array, Column("m, m, rad", "<f8", 3)]
@@ -207,10 +224,10 @@ class Truth(_Group):
 class PathChange:
     """A path that took over during a run."""
 
-    decision: int  # the first one that follows it; -1 in a log of a run that has not got so far
+    decision: int  # its first decision; -1 in the log of a run that has not reached it yet
     path: Path  # the path
-    # of one that holds at the end of the path before: x and y of that end, m, world, and the index of the
-    # path's first point on the circle about it; None: a path that leads on
+    # of a path that holds at the end of the previous one: x and y of that end, m, world, and the index of the
+    # path's first point on the circle around it; None: an ordinary path
     hold: tuple[float, float, int] | None = None
 
 
@@ -233,7 +250,7 @@ class Tracking:
 
     @property
     def stood(self) -> bool:
-        """Whether many decisions led to less than 0.1 mm/s along the path."""
+        """Whether many decisions gave less than 0.1 mm/s of progress."""
         return not self.completed and self.decisions >= STOOD_DECISIONS and self.progress_mps < STOOD_MPS
 
     def as_json(self) -> dict[str, Any]:
@@ -265,9 +282,9 @@ class RunLog:
         measured: numbers about the run (name with unit suffix -> finite value).
         planner: the planner's weights and depth (field of PlanConfig -> finite value), where known.
         made: provenance as texts, where known: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick``
-            (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; and
-            ``learn`` of a run in which it was learned what limbs have lost: their names. Its decisions have a
-            further column ``lost`` (n, 8), of each limb, 0 to 32767.
+            (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; and, for a run
+            that estimated wear, ``learn``: the names of the limbs. Its decisions have a further column
+            ``lost`` (n, 8), for each limb, 0 to 32767.
         tracked: how well the path was followed, as measured during the run; None: of a log from a file.
     """
 
@@ -330,7 +347,7 @@ class RunLog:
 
     @property
     def paths(self) -> list[tuple[float, Path]]:
-        """Every path that was followed, with the time from which on, s; the first one from -inf on."""
+        """Every path that was followed, with its first time, s; -inf for the first path."""
         first = [] if self.path is None else [(-math.inf, self.path)]
         return first + [(float(self.decisions.time_s[change.decision]), change.path) for change in self.then]
 

@@ -6,11 +6,16 @@ in a group by its number, and in `decision` the first row of `decisions` that fo
 (simulated runs), `measured` and `planner` (numbers as attributes) and `made` (texts as datasets). Every
 column has the attribute `unit`.
 
-A run of ours has of each fix `fixes/heard_us`, its capture time on the clock of `decisions/scheduled_us`, and
-`fixes/heard_after`, the number of decisions before it, as whoever decided had them (-1: not): from these a
-replay repeats the decisions exactly. So it does with `decisions/rested_us`: since when the robot rested
-because its guard refused the stroke (-1: it swam), and after how many rows of `fixes` that was known
-(`decisions/rested_after`). Older logs lack these.
+A log that frogkick wrote has further columns, from which a replay repeats the decisions exactly. They hold
+what the planner, on robot or host, had received:
+
+- `fixes/heard_us`: the capture time of a fix on the clock of `decisions/scheduled_us` (-1: not received);
+- `fixes/heard_after`: the number of decisions before it;
+- `decisions/rested_us`: the time from which the robot rested, because its guard refused the stroke
+  (-1: it was fired);
+- `decisions/rested_after`: the number of rows of `fixes` after which this was known.
+
+Older logs lack these.
 """
 
 from __future__ import annotations
@@ -168,7 +173,7 @@ def _read(file: h5py.File) -> RunLog:
         decisions=decisions,
         strokes=Strokes(**_read_group(file, Strokes)),
         path=path,
-        # -1: the run that this is the log of has not got so far
+        # -1: the run of this log has not reached it yet
         then=tuple(
             PathChange(decision, _read_path(file[f"then/{number}"]), _hold_of(holds[number]))
             for number, decision in enumerate(changed)
@@ -219,7 +224,7 @@ def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth, ch
 def _read_group(
     file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth], fixes: int = 0
 ) -> dict[str, Any]:
-    """The columns of a group; ``fixes``: how many rows of them were read before, of a log that grows."""
+    """The columns of a group; ``fixes``: number of its rows that were read before, for a log that grows."""
     if kind.NAME not in file:
         raise InputError(f"run: group {kind.NAME!r} is missing: record or import it again")
     group = file[kind.NAME]

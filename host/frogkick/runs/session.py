@@ -1,6 +1,6 @@
 """A session with a robot in simulated time: commands and their answers, and events.
 
-What sends a command raises ``LinkError`` where the robot refuses it or does not answer in time.
+Every method that sends a command raises a ``LinkError`` if the robot refuses it or does not answer in time.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class Session:
             self.step(self.time_s + STEP_S)
             if self._answered(name, sequences, answers):
                 return [answers[sequence] for sequence in sequences]
-        raise LinkError(f"no answer to {name} within {timeout_s:g} s: is the firmware running?")
+        raise LinkError(f"no answer to {name} within {timeout_s:g} s: check that the firmware runs")
 
     def _answered(self, name: str, sequences: Sequence[int], answers: dict[int, dict[str, Value]]) -> bool:
         """Move arrived answers from the inbox to ``answers``; whether all have come."""
@@ -179,7 +179,7 @@ class Session:
         return len(answers) == len(sequences)
 
     def make_safe(self) -> bool:
-        """Send DISARM until the robot answers; False where it does not. Pool and Ctrl-C wait meanwhile."""
+        """Send DISARM until the robot answers; False if it does not. Pool and Ctrl-C wait meanwhile."""
         self.on_step = lambda _time_s, _edges: None
         with uninterrupted():
             for _ in range(DISARM_TRIES):
@@ -265,7 +265,7 @@ class Session:
         return answer
 
     def _hello(self) -> dict[str, Value]:
-        # A robot that has just been switched on does not listen until it has checked its table.
+        # A robot that has just been switched on does not receive until it has checked its table.
         values = hello(self.conversation)
         for _ in range(HELLO_TRIES - 1):
             try:
@@ -278,7 +278,7 @@ class Session:
         """Wait until a robot that started without knowing its limbs' heat counts them as cool.
 
         Args:
-            tell: gets one line where that takes time.
+            tell: gets one line if that takes time.
         """
         rest_s = int(self.request("STATUS")["rest_us"]) * 1e-6
         if rest_s > 0.0:

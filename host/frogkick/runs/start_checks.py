@@ -15,23 +15,23 @@ from frogkick.runs.closed_loop import FixSource
 
 LOOK_S = 1.0
 FIXES_LEAST = 2
-"""Fewest fixes in that time: the guard fires no limb on a fix that is older than half a second."""
+"""Smallest number of fixes in that time: the guard fires no limb without a fix of the last half second."""
 
 APART_MOST_M = 0.02
-"""Longest distance between successive fixes of a robot at rest: beyond it, one is of something else."""
+"""Largest distance between successive fixes of a robot at rest; beyond it, one is of something else."""
 
 START_MOST_M = 0.3
-"""Longest distance from the robot to its path."""
+"""Largest distance from the robot to its path."""
 
 WALL_M = 0.05
-"""Shortest distance from a path to the walls: half a robot."""
+"""Smallest distance from a path to the walls: half a robot."""
 
 OVER_FULL = 1.1
 """Highest plausible voltage over that of a full battery."""
 
 
 def check_battery(robot: Robot, measured_v: float | None) -> str:
-    """Check the lowest voltage of a robot's batteries, as a person measured it, if so; return the result.
+    """Check the lowest voltage of a robot's batteries, if a person has measured it; return the result.
 
     Raises:
         InputError: the voltage is low, implausible, or without limits in the robot's file.
@@ -101,7 +101,7 @@ def check_start(
     if apart_m.max() > APART_MOST_M:
         raise InputError(
             f"position fixes jump by {1e3 * apart_m.max():.0f} mm while the robot rests, "
-            f"{1e3 * APART_MOST_M:.0f} are allowed: is another tag in the picture, or a hand?"
+            f"{1e3 * APART_MOST_M:.0f} are allowed: remove other tags, reflections and hands from the picture"
         )
     for swum in (path, *then) if pool_m is not None else ():
         low, high = swum.points_m.min(axis=0), swum.points_m.max(axis=0)

@@ -23,7 +23,7 @@ from frogkick.runs.runlog import RunLog, Tracking
 
 @dataclass(frozen=True)
 class Summary:
-    """A run in numbers; None: the log does not show it."""
+    """A run in numbers; None if the log does not contain a number."""
 
     # robot, source, path, period_s: as in ``RunLog``; the path's name
     robot: str
@@ -133,7 +133,7 @@ def track_of(run: RunLog) -> tuple[Float64, Float64, str]:
 
 @dataclass(frozen=True)
 class Bends:
-    """How sharply a path bends, compared with the turns of the robot on it."""
+    """The curvature of a path compared with the turns of the robot on it."""
 
     step_m: float  # distance along the path in one period
     asked_rad: float  # largest change of the path's direction over that distance
@@ -208,7 +208,7 @@ def summary(run: RunLog) -> Summary:
 
 
 def tracking_of_log(run: RunLog) -> Tracking:
-    """How well a run followed its path: as measured, or as its log or its track tell.
+    """How well a run followed its path: as measured during the run, or from its log or its track.
 
     An unknown number is NaN, an unknown number of limit violations None.
     """
@@ -242,8 +242,8 @@ class Comparison:
     same_robot: bool
     same_table: bool | None
     same_path: bool | None
-    same_decisions: int  # number of decisions from the first on that chose the same action in both
-    # mean distance between the robots at equal times since the first decision, as long as both swam; None if
+    same_decisions: int  # number of decisions, from the first on, that chose the same action in both
+    # mean distance between the robots at equal times since the first decision, until one run ended; None if
     # the paths differ
     apart_m: float | None
 

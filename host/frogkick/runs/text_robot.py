@@ -1,7 +1,7 @@
-"""A robot that fires limbs when a line of text says so; this project's core runs on the host instead.
+"""A robot that fires limbs on lines of text; the project's core runs on the host in its place.
 
-The core is the firmware's C with its guard, so pulses, rests, heat and simultaneous limbs keep the same
-limits as on board. The delay of a line on its way is unknown to the guard.
+The core is the firmware's C with its guard, so pulses, rests, heat and simultaneous limbs have the same
+limits as on the robot. The guard does not know the transmission delay of a line.
 """
 
 from __future__ import annotations

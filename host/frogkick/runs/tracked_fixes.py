@@ -31,7 +31,7 @@ FIELD_M = 1000.0
 _LINE_MAX = 200
 AWAKE_S = 0.1
 STALL_S = 1.0
-"""A live camera that gives no picture for longer hangs."""
+"""A live camera that gives no picture for longer is considered to hang."""
 EVERY_S = 0.1
 """Shortest time between two encoded pictures, however many pages ask."""
 WIDTH_MOST_PX = 960
@@ -50,7 +50,7 @@ class FixBuffer:
         self._poses: list[tuple[float, tuple[float, float, float]]] = []  # capture time and pose
         self._error: Exception | None = None
         self._seen = 0
-        self._ended = False  # no more poses come, as from a file
+        self._ended = False  # the source has ended, such as a file
         self._sequence = 0
         self._polled_s = 0.0
 
@@ -92,7 +92,7 @@ class FixBuffer:
         return fixes
 
     def actuate(self, limb: int, start_s: float) -> None:
-        """No effect: a real limb is seen by the tracker."""
+        """No effect, because the tracker sees the real limbs."""
 
 
 class LineFixes(FixBuffer):
@@ -192,7 +192,7 @@ class Sighting:
 
 
 class CameraFixes(FixBuffer):
-    """A ``FixSource`` that finds the robot's tag in each picture; poses are in the pool's frame.
+    """A ``FixSource`` that finds the robot's tag in each picture; poses are in the world frame.
 
     A live picture is captured when the driver hands it over. Pictures of a video or a folder are played at
     the rate at which they were taken.
@@ -247,7 +247,7 @@ class CameraFixes(FixBuffer):
         fixes = super().advance(until_s)
         with self._lock:
             last_s, now_s = self._last_picture_s, self._clock()
-        # A computer that slept or was busy kept the camera's thread from its pictures as well.
+        # If the computer slept or was busy, the camera's thread could not take pictures either.
         awake_s, self._checked_s = min(now_s - self._checked_s, AWAKE_S), now_s
         if last_s is None or last_s != self._quiet_since_s:
             self._quiet_since_s, self._quiet_s = last_s, 0.0

@@ -1,8 +1,8 @@
 """Studies of the method, each a module with a ``run`` that returns a result with a figure (``frogkick
 study``).
 
-All functions raise InputError for what they are given and cannot use, ConvergenceError where the rods fail,
-and ToolchainError where a compiler is missing; the text says what to do.
+All functions raise an InputError for arguments that they cannot use, a ConvergenceError if the simulation of
+the rods fails, and a ToolchainError if a compiler is missing. The text says what to do.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 
-class Found(ABC):
+class StudyResult(ABC):
     """The result of a study; if it has a figure, ``plot`` returns it.
 
     Attributes:
@@ -28,6 +28,6 @@ class Found(ABC):
         """Return the keys of its command, without the figure."""
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return the result as text, from ``as_json``; "": these values, one a line."""
+        """Return the result as text, from the values of ``as_json``; "" prints these values, one a line."""
         del values
         return ""

@@ -1,5 +1,4 @@
-"""Three estimators with bad fixes: their errors at decision time, and the distance to the path in closed
-loop."""
+"""Three estimators with faulty fixes: errors at decisions, and closed-loop distance to the path."""
 
 from __future__ import annotations
 
@@ -126,7 +125,7 @@ FAULTS: Mapping[str, Mapping[str, float]] = {
     "world": {},
     "all": {"jitter_s": 0.2, "lost": 0.2, "doubled": 0.1, "held": 0.1, "outliers": 0.05},
 }
-"""Faults beyond those of the recorded runs' camera; "world": the robot differs from the model."""
+"""Faults in addition to those of the recorded runs' camera; "world": the robot differs from the model."""
 OTHER_WORLD: tuple[dict[str, object], ...] = (
     {"name": "drag_scale", "frame": 2.5},
     {"name": "limb_wear", "limb": "rear_left", "gain": 0.7},

@@ -1,5 +1,4 @@
-"""The upper bound of tables: one planner with tables as its model, and with the rods
-(``rods_in_loop.py``)."""
+"""The upper bound for tables: one planner with tables as its model, and with the rods as model oracle."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ from frogkick.paths import SHAPES
 from frogkick.report import style
 from frogkick.runs.closed_loop import require_time
 from frogkick.tables.image import read_image
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Ceiling
 from frogkick_studies.rods_in_loop import AFFINE, NEAREST, RODS, SOURCES, Run, follow_paths
 
@@ -30,7 +29,7 @@ _COLOUR = {NEAREST: style.MEASURED, AFFINE: style.TRUE, RODS: style.ESTIMATED}
 _LABEL = {
     NEAREST: "full nearest table (the paper's)",
     AFFINE: "the robot's affine table",
-    RODS: "the rods themselves: the ceiling",
+    RODS: "the rods themselves: upper bound",
 }
 _MEASURES = (
     ("mean_distance_m", "mean distance to the path (mm)"),
@@ -79,7 +78,7 @@ def _by_seed(runs: Sequence[Run], name: str) -> list[float]:
 
 
 def rms_error(runs: Sequence[Run], name: str) -> dict[str, float]:
-    """Return the root mean square of ``planned`` or ``told`` over all decisions of some runs."""
+    """Return the root mean square of ``Run.planned`` or ``Run.told`` over all decisions of some runs."""
     errors = np.concatenate([getattr(run, name) for run in runs])
     return {
         "position_m": float(np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))),
@@ -88,7 +87,7 @@ def rms_error(runs: Sequence[Run], name: str) -> dict[str, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class CeilingStudy(Found):
+class CeilingStudy(StudyResult):
     """One planner in the pool with three models: a full nearest table, the robot's table, the rods."""
 
     runs: Sequence[Run]
@@ -186,7 +185,9 @@ class CeilingStudy(Found):
                 f"{1e3 * error['position_m']:.3f} mm, {math.degrees(error['heading_rad']):.3f} degrees"
                 for error in (errors["told"], errors["planned"])
             )
-            lines.append(f"one stroke ahead {source:8s} of the true state {told}; as planned {planned}")
+            lines.append(
+                f"one stroke ahead {source:8s} from the true state {told}; from the estimated state {planned}"
+            )
         return "\n".join(lines)
 
 
@@ -216,7 +217,7 @@ def run(config: Ceiling) -> CeilingStudy:
 
 
 def _by_path(axes: Axes, runs: Sequence[Run], paths: Sequence[str], name: str) -> None:
-    """Draw means with 95 % intervals, and a point for each seed; the last group is over all paths."""
+    """Draw means with 95 % intervals, and a point for each seed; the last group is for all paths."""
     for offset, source in zip((-0.27, 0.0, 0.27), SOURCES, strict=True):
         for place, path in enumerate([*paths, None]):
             mine = [run for run in runs if run.source == source and path in (None, run.path)]
@@ -230,7 +231,7 @@ def _by_path(axes: Axes, runs: Sequence[Run], paths: Sequence[str], name: str) -
                 capsize=3,
             )
             over = sum(not run.completed for run in mine)
-            if over:  # a run that stops early can stay near its path: its distance is not to be compared
+            if over:  # the distance of a run that stops early cannot be compared with that of a complete one
                 axes.annotate(
                     f"{over} of {len(mine)}\nnot to\nthe end", (place + offset, 0.0), ha="center",
                     va="bottom", fontsize=6, xytext=(0, 2), textcoords="offset points",
@@ -253,5 +254,5 @@ def _ahead(axes: Axes, runs: Sequence[Run], name: str, factor: float) -> None:
                 xytext=(0, 2), textcoords="offset points",
             )  # fmt: skip
     axes.margins(y=0.12)
-    axes.set_xticks([0, 1], ["asked of the true state", "as planned, from fixes"])
+    axes.set_xticks([0, 1], ["from the true state", "from the estimated state"])
     axes.grid(axis="x", visible=False)

@@ -1,12 +1,12 @@
 """Time that the chip takes to plan: cycles of the flashed image over many states and paths.
 
-Up to ``RUN`` states of a depth are all run on the virtual chip. Of more states that number is run: half of
-them random, then the most expensive ones by a model. By the model the cycles of a decision are, over the
-blocks of the planner's code, the executions of a block times its cost; the content of the instruction cache
-adds a little. The executions are counted for each state by the same C on this computer. The costs of the
-blocks are fitted to states that the virtual chip has run, and the fit's error is measured on other such
-states. Every reported time was counted on the virtual chip: the model selects states, and bounds those that
-were not run.
+Up to ``RUN`` states of a depth, all are run on the virtual chip. Of more states only that number is run: half
+of them are random, and the others are the most expensive ones by a model. By the model the cycles of a
+decision are, over the blocks of the planner's code, the executions of a block times its cost; the content of
+the instruction cache adds a little. The executions are counted for each state by the same C on this computer.
+The costs of the blocks are fitted to states that the virtual chip has run, and the fit's error is measured on
+other such states. Every reported time was counted on the virtual chip: the model selects states, and bounds
+those that were not run.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, TimedStates, 
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import require_tools
 from frogkick_codegen.native import BlockCounter
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Chip
 
 LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
@@ -44,7 +44,7 @@ NODE = "fk_lookup_motion"
 RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
 """Depth -> largest number of states that are run on the virtual chip."""
 HALF_WORN = (16384,)
-"""What each limb has lost of its contribution, of 32767: worn limbs take the longest to plan with."""
+"""The share of its contribution that each limb has lost, of 32767: decisions with worn limbs take longest."""
 _CHUNK = 50
 _RIDGE = 1e-3
 """Ridge of the model's fit, relative to a block's largest share: many blocks always run together."""
@@ -121,7 +121,7 @@ def open_ms(elf: Path) -> float:
 
 @lru_cache(maxsize=1)
 def planner_of(elf: Path) -> ChipPlanner:
-    """Return a booted chip, one for each process. Its limbs are worn: that takes the longest to plan."""
+    """Return a booted chip, one for each process. Its limbs are worn, because such decisions take longest."""
     planner = ChipPlanner(elf)
     planner.wear(HALF_WORN)
     return planner
@@ -260,11 +260,11 @@ class _Study:
         return error
 
     def others(self, depth: int, name: str, costs: Float64) -> tuple[TimedStates, Float64, Int64]:
-        """Return the states not run at random, their cycles by the model, and the places of the dearest."""
+        """Return the other states, their cycles by the model, and the indices of the most expensive ones."""
         timed = self.states(depth, name).part(self.first(depth), self.count(depth))
         settings = dataclasses.replace(self.config, depth=depth)
         predicted = cycles_of(costs, self.tables.image, self.paths[name], settings, timed)
-        return timed, predicted, dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
+        return timed, predicted, most_expensive(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
 
     def cut(self, depth: int, name: str, timed: TimedStates, at_random: bool) -> list[_Chunk]:
         count = len(timed.states)
@@ -353,7 +353,7 @@ def _blocks(
     return counted.astype(np.float64)
 
 
-def dearest(predicted: Float64, beyond: Float32, number: int) -> Int64:
+def most_expensive(predicted: Float64, beyond: Float32, number: int) -> Int64:
     """Return the indices of about ``number`` states: the most expensive of all, and of each reach."""
     kinds = np.unique(beyond)
     order = np.argsort(-predicted, kind="stable")
@@ -368,7 +368,7 @@ _DEAREST = 12
 
 
 @dataclass(frozen=True, eq=False)
-class ChipStudy(Found):
+class ChipStudy(StudyResult):
     """Time that the chip takes to plan, in cycles of the flashed image.
 
     Attributes:

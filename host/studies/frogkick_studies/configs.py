@@ -1,7 +1,7 @@
 """The configuration of each study. Its fields are the command's options, its docstring the command's help.
 
 This module loads nothing that computes, so that help is printed at once. An option that several commands
-share stands without its help: the runner (``frogkick/cli/study.py``) knows it by its name and type.
+share has no help here: the runner (``frogkick/cli/study.py``) takes it from its name and type.
 """
 
 from __future__ import annotations
@@ -85,8 +85,9 @@ class Estimator(Config):
 class Loop(Config):
     """Compare the paper's planner with the robot's at depth 1 to 3: distance to the path and progress.
 
-    The exit code is 1 if, in one of the worlds, the robot's planner is more than half as far off as the
-    paper's or makes less progress, or if depth 2 and depth 3 are both farther off than depth 1.
+    The exit code is 1 if, in one of the worlds, the distance of the robot's planner is more than half of the
+    paper's or its progress is less, or if the distances at depth 2 and at depth 3 are both larger than at
+    depth 1.
     """
 
     folder: ClassVar[bool] = True
@@ -111,14 +112,14 @@ class Loop(Config):
     ] = None
     tables: OwnTableOption = None
     learn: Annotated[
-        bool, Option(help="Compare the host as well, where it plans and learns what the limbs have lost.")
+        bool, Option(help="Compare the host as well, which plans with an estimate of the limbs' wear.")
     ] = False
     workers: int = 0
 
 
 @dataclass(frozen=True)
 class Twin(Config):
-    """Compare the paper's planner with the robot's on the twin of a robot, which was fitted to recorded runs.
+    """Compare the paper's planner with the robot's on the twin of a robot that was fitted to recorded runs.
 
     With --runs the paper's planner also swims with the motion that it assumed of each action, as inverse
     planning recovers it from its recorded decisions. The exit code is 1 if the robot's planner, with its own
@@ -171,10 +172,10 @@ class Ceiling(Config):
 
 @dataclass(frozen=True)
 class Foresight(Config):
-    """Compute the offline bound of a path: plan the whole run at once by the table.
+    """Compute the offline bound of a path: plan the whole run at once with the table.
 
     The plan has no noise, no delay and no limit of time or memory. A planner on the robot stays farther from
-    the path. The difference is the loss of the planner; the bound itself is the demand of the path.
+    the path. The difference is the loss of the planner; the bound itself is due to the path and the table.
     """
 
     path: Annotated[str, Option(help="A shape's name or a path file.")] = "sine"
@@ -190,10 +191,10 @@ class Foresight(Config):
 
 @dataclass(frozen=True)
 class Weights(Config):
-    """Tune the weights of a robot's planner on random paths, and judge them on others.
+    """Tune the weights of a robot's planner on random paths, and test them on others.
 
-    The robot moves as its table says, so this takes minutes. What it prints goes into the section [planner]
-    of the robot's file. Distances count at no less progress along the path.
+    The simulated robot moves as its table says, so this takes minutes. The output goes into the section
+    [planner] of the robot's file. A smaller distance counts only without a loss of progress along the path.
     """
 
     tables: Path | None = None
@@ -217,9 +218,9 @@ class Verdicts(Config):
     wrong if a parameter is farther off than twice its interval. The study also counts how many parameters are
     inside their 95 % intervals.
 
-    Laws are drawn again until the nominal model misses the test run by 2 to 20 noise floors. The right kind
-    of law must be named in 80 % of them, at most 3 % may be wrongly found, and in 85 % at least 70 % of the
-    way from the error before to the noise floor must be gone.
+    Laws are drawn again until the nominal model's error on the test run is 2 to 20 noise floors. The right
+    kind of law must be named in 80 % of them, at most 3 % may be wrongly found, and in 85 % at least 70 % of
+    the way from the error before to the noise floor must be gone.
     """
 
     folder: ClassVar[bool] = True
@@ -274,10 +275,10 @@ class Openloop(Config):
 
 @dataclass(frozen=True)
 class Wake(Config):
-    """Fit how strokes slow in each other's wake, and predict the speed over phase offset of a gait.
+    """Fit how strokes lose thrust in each other's wake, and predict the speed of a gait over phase offset.
 
-    Each measured series over phase offset is left out in turn. The prediction has the interval that the
-    levels of all measured series, the fit and the scatter of swims give.
+    Each measured series over phase offset is held out in turn. The interval of the prediction contains the
+    spread of the series' mean levels, the uncertainty of the fit, and the scatter between swims.
     """
 
     data_dir: Annotated[Path, Argument(help="Folder of the paper's data: exp/, profile/.")]
@@ -290,16 +291,18 @@ class Wake(Config):
 
 @dataclass(frozen=True)
 class Water(Config):
-    """Judge what theory says of the water and of the frame's inertia by measured swims and recorded runs.
+    """Test theory about the water and the frame's inertia on measured swims and recorded runs.
 
     Each hypothesis has its values from theory. Speeds of measured swims are predicted with one factor, which
-    is fitted to the other groups. Recorded runs are predicted one period ahead, as they are found in
-    DATA_DIR/control.
+    is fitted to the other groups. The recorded runs of DATA_DIR/control are predicted one period ahead.
     """
 
     data_dir: Annotated[Path, Argument(help="Folder of the paper's data: exp/, profile/, control/.")]
     joint: Annotated[
-        bool, Option(help="Also fit a calibrated robot's effects around each (half an hour).")
+        bool,
+        Option(
+            help="Also fit the effects of a calibrated robot together with each hypothesis (half an hour)."
+        ),
     ] = False
     robot: str = "frog2022"
     out: PictureOption = None
@@ -308,9 +311,9 @@ class Water(Config):
 
 @dataclass(frozen=True)
 class Heldout(Config):
-    """Cross-validate identification: predict each run by the effects that all other runs show.
+    """Cross-validate identification: predict each run with the effects identified from all others.
 
-    The result shows how far identification may be trusted on this robot: every period is predicted once, by
+    The result shows how well identification generalises for this robot: every period is predicted once, by
     effects that were identified without it. Fits of many effects start from nominal values, never from a
     built-in robot that was calibrated before. The exit code is 1 if the effects predict worse than the
     nominal model.

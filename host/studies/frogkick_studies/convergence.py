@@ -18,7 +18,7 @@ from frogkick.effects.acting import program_of
 from frogkick.effects.swims import Gait, Trajectory, simulate_gaits, simulate_many
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Convergence
 
 STEPS_S = (0.0064, 0.0032, 0.0016, 0.0008, 0.0004)
@@ -114,7 +114,7 @@ def _gaits(robot: Robot) -> Sequence[Gait]:
 
 
 @dataclass(frozen=True, eq=False)
-class ConvergenceStudy(Found):
+class ConvergenceStudy(StudyResult):
     curves: Sequence[Curve]
 
     @property

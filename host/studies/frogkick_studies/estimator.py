@@ -20,7 +20,7 @@ from frogkick.front.places import plan_config, swim_path
 from frogkick.front.tables import robot_of_table, table_image
 from frogkick.report import style
 from frogkick.runs.closed_loop import require_time
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.bad_fixes import METHODS, RATES_HZ, Condition, Outcome, compare_estimators
 from frogkick_studies.configs import Estimator
 
@@ -52,8 +52,8 @@ _STYLES: tuple[tuple[str, Literal["-", "--"], str], ...] = (
 
 
 @dataclass(frozen=True, eq=False)
-class EstimatorStudy(Found):
-    """States from late, lost, doubled and wrong fixes, by several methods.
+class EstimatorStudy(StudyResult):
+    """States estimated from late, lost, doubled and wrong fixes by several methods.
 
     Attributes:
         outcomes: condition of the camera -> method -> errors of its states.

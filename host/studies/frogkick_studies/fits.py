@@ -1,15 +1,15 @@
-"""Effects fitted to some groups of measured open-loop swims, and tested on the groups left out.
+"""Effects fitted to some groups of measured open-loop swims, and tested on the held-out groups.
 
 A measured swim is one number here: its steady speed. A fraction has some ten to thirty swims, each measured
-to some 4 mm/s, so the data determine few parameters, and most effects of the catalogue not at all: those that
-turn the robot, fade after the first strokes, or act on one limb. The candidates are the others, equal for all
-alloys; alloys differ only by their measured limb profiles. Each parameter has a prior about its physically
-expected value.
+to some 4 mm/s, so the data determine few parameters. They do not determine most effects of the catalogue at
+all: those that turn the robot, fade after the first strokes, or act on one limb. The candidates are the other
+effects, equal for all alloys; alloys differ only by their measured limb profiles. Each parameter has a prior
+around its physically expected value.
 
-The method is forward selection: effects are added while they improve the prediction of left-out swims by more
-than the sampling error. Whole groups are left out, because swims of one alloy or of neighbouring frequencies
+The method is forward selection: effects are added while they improve the prediction of held-out swims by more
+than the sampling error. Whole groups are held out, because swims of one alloy or of neighbouring frequencies
 share their errors: each EGaIn fraction (if there are several), and each of three frequency bands. An effect
-must improve both; otherwise the nominal model stays. The test swims are not used.
+must improve both; otherwise the nominal model is kept. The test swims are not used.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from frogkick_studies.steady import (
     expected,
     gain_of,
     groupings,
-    plans_of,
+    splits_of,
     tables_of,
 )
 
@@ -42,7 +42,7 @@ MOST_EFFECTS = 2
 TRIED = 1
 """Number of candidates of an iteration that are fitted, the best by a linearised estimate."""
 
-_SD_MPS = 0.004  # of a measured speed, where the fraction itself does not tell it
+_SD_MPS = 0.004  # of a measured speed, if the swims of a fraction do not determine it
 _LEAST_SD_MPS = 0.002
 _STEP = 0.15  # of a finite difference, in widths: limbs that ring make speeds rough over less
 _EDGE = 1e-3  # from a bound, in widths, where a fit may start
@@ -156,7 +156,7 @@ def open_loop(
     """
     validation = run_validation(robot, folder, workers)
     other = validation if test_folder is None else run_validation(robot, test_folder, workers)
-    plans = plans_of(validation.experiments, other.experiments, train, test, test_folder is not None)
+    plans = splits_of(validation.experiments, other.experiments, train, test, test_folder is not None)
     splits = []
     for place, (kind, name, own, tested) in enumerate(plans):
         simulation = Simulation(robot, validation.profiles.profiles, workers)
@@ -196,7 +196,7 @@ class _Fit:
         self.sd_mps = max(known, _LEAST_SD_MPS)
         self.groupings = groupings(self.rows)
 
-    def missed(self, frees: Sequence[Free], points: Sequence[Float64]) -> Float64:
+    def residuals(self, frees: Sequence[Free], points: Sequence[Float64]) -> Float64:
         """Return (len(points), n) residuals, prediction minus measurement in standard deviations; 0 m/s
         for a failure."""
         tables = [
@@ -210,7 +210,7 @@ class _Fit:
         high = np.array([free.bounds[1] for free in frees])
         steps = np.where(point + _STEP > high, -_STEP, _STEP)[first:]
         moves = np.eye(len(frees))[first:] * steps[:, None]
-        base, *moved = self.missed(frees, [point, *(point + moves)])
+        base, *moved = self.residuals(frees, [point, *(point + moves)])
         return np.stack([(there - base) / step for there, step in zip(moved, steps, strict=True)], axis=1)
 
     def fit(self, frees: Sequence[Free], start: Float64) -> Float64:
@@ -219,7 +219,7 @@ class _Fit:
 
         low, high = np.array([free.bounds for free in frees]).T
         found = least_squares(
-            lambda z: np.concatenate([self.missed(frees, [z])[0], z - expected(frees)]),
+            lambda z: np.concatenate([self.residuals(frees, [z])[0], z - expected(frees)]),
             np.clip(start, low + _EDGE, high - _EDGE),
             jac=lambda z: np.vstack([self.jacobian(frees, z), np.eye(len(frees))]),
             bounds=(low, high),
@@ -239,23 +239,23 @@ class _Fit:
         """Return the RMSE, m/s, of left-out groups in the worst way of grouping, linearised about a point."""
         from scipy.optimize import lsq_linear
 
-        missed = self.missed(frees, [point])[0]
+        residuals = self.residuals(frees, [point])[0]
         low, high = np.array([free.bounds for free in frees]).reshape(-1, 2).T
         room = (np.minimum(low - point, -1e-9), np.maximum(high - point, 1e-9))
         errors = []
         for way in self.groupings:
-            after = missed.copy()
+            after = residuals.copy()
             for kept in self.folds(way):
                 matrix = np.vstack([jacobian[kept], np.eye(len(frees))])
-                wanted = -np.concatenate([missed[kept], point - expected(frees)])
-                after[~kept] = missed[~kept] + jacobian[~kept] @ lsq_linear(matrix, wanted, room).x
+                wanted = -np.concatenate([residuals[kept], point - expected(frees)])
+                after[~kept] = residuals[~kept] + jacobian[~kept] @ lsq_linear(matrix, wanted, room).x
             errors.append(root_mean_square(after.tolist()))
         return self.sd_mps * max(errors)
 
     def left_out(self, frees: Sequence[Free]) -> dict[str, Float64]:
         """Return way of grouping -> (n,) residuals, m/s, of swims by fits without their group."""
         if not len(frees):
-            plain = self.sd_mps * self.missed((), [np.empty(0)])[0]
+            plain = self.sd_mps * self.residuals((), [np.empty(0)])[0]
             return dict.fromkeys(self.groupings, plain)
         found = {}
         for way in self.groupings:
@@ -264,7 +264,7 @@ class _Fit:
                 rows = [row for row, its in zip(self.rows, kept, strict=True) if its]
                 part = _Fit(self.simulation, rows, self.sd_mps)
                 point = part.fit(frees, _begin(part, frees, (), np.empty(0)))
-                errors[~kept] = self.sd_mps * self.missed(frees, [point])[0][~kept]
+                errors[~kept] = self.sd_mps * self.residuals(frees, [point])[0][~kept]
             found[way] = errors
         return found
 
@@ -321,7 +321,7 @@ def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: Float
         for free in tried
     ]
     points = [np.array(place) for place in product(*places)]
-    costs = [float(missed @ missed) for missed in fit.missed(tried, points)]
+    costs = [float(residuals @ residuals) for residuals in fit.residuals(tried, points)]
     away = [float(np.sum((each - expected(tried)) ** 2)) for each in points]
     return points[int(np.argmin(np.add(costs, away)))]
 
@@ -345,8 +345,8 @@ def _estimates(fit: _Fit, frees: tuple[Free, ...], point: Float64) -> Iterator[E
     if not frees:
         return
     jacobian = fit.jacobian(frees, point)
-    missed = fit.missed(frees, [point])[0]
-    scatter = max(1.0, float(missed @ missed) / max(len(missed) - len(frees), 1))
+    residuals = fit.residuals(frees, [point])[0]
+    scatter = max(1.0, float(residuals @ residuals) / max(len(residuals) - len(frees), 1))
     covariance = np.linalg.inv(jacobian.T @ jacobian / scatter + np.eye(len(frees)))
     for free, z, sd in zip(frees, point.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True):
         yield Estimate(free, free.value(z), free.value(z - _Z95 * sd), free.value(z + _Z95 * sd))

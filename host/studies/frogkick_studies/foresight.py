@@ -1,9 +1,9 @@
 """The offline bound of a path: the whole run planned at once by a table, without noise or delay.
 
-A planner that looks a few strokes ahead and gets its position from a camera cannot be expected to do better,
-so the bound separates the demand of the path from the loss of the planner. The method is a beam search:
-breadth first over decisions; of the plans that have reached one part of the path the cheapest are kept, and
-of similar plans only the cheapest. A plan that is found is feasible according to the table. It is not proven
+A planner that looks a few strokes ahead and gets its position from a camera cannot be expected to do better.
+So the bound separates what the path demands from what the planner loses. The method is a beam search: breadth
+first over decisions; of the plans that have reached one part of the path the cheapest are kept, and of
+similar plans only the cheapest. A plan that is found is feasible according to the table. It is not proven
 that none is better, but a larger breadth shows whether there is one.
 """
 
@@ -29,21 +29,21 @@ from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_a
 from frogkick.report import style
 from frogkick.runs.record import along_path
 from frogkick.tables.image import Tables, read_image
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Foresight
 
 DECISIONS_MOST = 150
-_LONGER = 2.0  # times the decisions of the fastest plan: slower ones are not looked for
-SAMPLES = 4  # of a motion, on the straight way between its ends
-_FINE_M = 0.002  # between the path's places
-_BEHIND, _AHEAD = 10, 30  # places that a sample may lie behind or ahead of the one before it
-_CELL = (0.003, 0.003, 0.06)  # poses that count as alike: m, m, rad
+_LONGER = 2.0  # slower plans than this many times the decisions of the fastest one are not searched
+SAMPLES = 4  # samples of each motion, on the straight line between its ends
+_FINE_M = 0.002  # spacing of the points along the path
+_BEHIND, _AHEAD = 10, 30  # points that a sample may lie behind or ahead of the previous sample
+_CELL = (0.003, 0.003, 0.06)  # size of a cell of similar poses: m, m, rad
 _OMEGA_RAD_S = 0.2  # and turn rates
-_PART = 8  # places of the path that share a breadth
+_PART = 8  # points of the path that share a breadth
 
 
 @dataclass(frozen=True, eq=False)
-class Foreseen:
+class OfflinePlan:
     """A plan of a whole run.
 
     Attributes:
@@ -60,8 +60,7 @@ class Foreseen:
 
 @dataclass(frozen=True, eq=False)
 class _Plans:
-    """Plans side by side, (k, ...); ``parent`` is the place in the level before, ``action`` the last
-    action."""
+    """Plans, (k, ...); ``parent`` is the index in the previous level, ``action`` the last action."""
 
     pose: Float64
     dynamics: Int64
@@ -71,13 +70,13 @@ class _Plans:
     action: Int64
 
 
-def foresee(
+def plan_offline(
     tables: Tables,
     path: Path,
     start_world: tuple[float, float, float],
     breadth: int = 300,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> list[Foreseen]:
+) -> list[OfflinePlan]:
     """Plan the whole run along a path, from rest, for each number of decisions.
 
     Args:
@@ -85,20 +84,20 @@ def foresee(
         breadth: number of plans that are kept for each part of the path and number of decisions.
 
     Returns:
-        The fastest plan, and each slower one that stays nearer than all faster ones.
+        The fastest plan, and each slower one that stays closer to the path than all faster ones.
     """
     places_m, table = _places(path), arrays_of(tables)
     none = np.zeros(1, dtype=np.int64)
     pose, dynamics = np.array([start_world], dtype=np.float64), np.zeros((1, DYNAMICS), dtype=np.int64)
     levels = [_Plans(pose, dynamics, none, np.zeros(1), none, none)]
-    found: list[Foreseen] = []
+    found: list[OfflinePlan] = []
     most = DECISIONS_MOST
     while len(levels[-1].cost_m) and len(levels) <= most:
         plans = _expanded(table, levels[-1], places_m)
         is_there = plans.place >= len(places_m) - 2
         at = int(np.where(is_there, plans.cost_m, np.inf).argmin())
         if is_there[at]:
-            plan = _foreseen(tables, path, start_world, _traced(levels, plans, at))
+            plan = _offline_plan(tables, path, start_world, _traced(levels, plans, at))
             most = most if found else min(most, int(_LONGER * len(levels)))
             if not found or plan.mean_distance_m < found[-1].mean_distance_m:
                 found.append(plan)
@@ -112,19 +111,19 @@ def foresee(
     return found
 
 
-def nearest_at(found: Sequence[Foreseen], progress_mps: float) -> float | None:
-    """Return the least mean distance (m) of the plans with at least this progress; None without any."""
+def nearest_at(found: Sequence[OfflinePlan], progress_mps: float) -> float | None:
+    """Return the smallest mean distance (m) of the plans with at least this progress; None without any."""
     near = [plan.mean_distance_m for plan in found if plan.progress_mps >= progress_mps]
     return min(near) if near else None
 
 
-def _foreseen(
+def _offline_plan(
     tables: Tables, path: Path, start_world: tuple[float, float, float], actions: tuple[int, ...]
-) -> Foreseen:
+) -> OfflinePlan:
     poses = swim(tables, actions, start_world)
     times_s = np.arange(len(poses)) * (tables.period_us * 1e-6 / SAMPLES)
     mean_m, _, progress_mps = along_path(path, times_s, poses)
-    return Foreseen(actions, mean_m, progress_mps, poses)
+    return OfflinePlan(actions, mean_m, progress_mps, poses)
 
 
 def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float, float]) -> Float64:
@@ -178,7 +177,7 @@ def _taken(plans: _Plans, which: Int64) -> _Plans:
 
 
 def _traced(levels: Sequence[_Plans], plans: _Plans, at: int) -> tuple[int, ...]:
-    """Return the actions that led to a plan, from the levels before."""
+    """Return the actions that lead to a plan, from the previous levels."""
     actions = [int(plans.action[at])]
     at = int(plans.parent[at])
     for level in reversed(levels[1:]):
@@ -224,18 +223,18 @@ _expand = _compiled(stamp_of("frogkick.planner"))
 
 
 @dataclass(frozen=True, eq=False)
-class ForesightStudy(Found):
-    """The offline bound of a path: least distance, and progress.
+class ForesightStudy(StudyResult):
+    """The offline bound of a path: smallest distance, and progress.
 
     Attributes:
-        plans: the best plans, from fast to near.
+        plans: the best plans, from fast to close.
         at_least_mps: requested progress; None: none.
     """
 
     path: Path
     name: str
     tables: Tables
-    plans: Sequence[Foreseen]
+    plans: Sequence[OfflinePlan]
     at_least_mps: float | None = None
 
     def plot(self) -> Figure:
@@ -302,5 +301,5 @@ def run(config: Foresight) -> ForesightStudy:
     path = swim_path(config.path)
     tables = read_image(table_image(config.tables, None))
     with shown(True, "decisions ahead") as tell:
-        plans = foresee(tables, path, start_pose(path), config.breadth, tell)
+        plans = plan_offline(tables, path, start_pose(path), config.breadth, tell)
     return ForesightStudy(path, config.path, tables, plans, least)

@@ -1,13 +1,13 @@
-"""Cross-validation of identification: each of several runs is predicted by the effects that all others show.
+"""Cross-validation of identification: each run is predicted with the effects identified from all others.
 
 Errors on the training runs are too low, and a single test run may be an easy one. Here each run is the test
 run once, so every period is predicted once, by effects that were identified without it. No values of built-in
 robots that were calibrated before are used, because these may have been fitted to the same runs; fits start
 from nominal values. Only the lists of effects and parameters of such robots are used.
 
-How far a model could come is read from pairs of like periods: a misfit of the model at their state is in
-both misses and cancels. Pairs of one run show the scatter of strokes. Pairs of two runs also show what
-differs from run to run, which no model knows beforehand.
+How small the error of a model could be is estimated from pairs of similar periods: an error of the model at
+their state is in both residuals and cancels in their difference. Pairs within one run show the scatter of
+strokes. Pairs of two runs also show what differs from run to run, which no model can predict.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments, read_segments, reliable
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Heldout
 
 LEAST_RUNS = 3
@@ -46,10 +46,10 @@ ERRORS = {
     "followed": "with drift followed",
     "noise_floor": "noise floor",
 }
-"""Errors of a run, attributes of ``HeldOut`` and keys of the command, and how they are called in its text."""
+"""Errors of a run: attribute of ``HeldOut``, which is also the key of the command -> name in its text."""
 
 LIKE = 1.0
-"""Velocities of like periods at their starts differ by less, in standard deviations over all periods."""
+"""Largest difference of initial velocities of similar periods, in standard deviations over all periods."""
 
 
 @dataclass(frozen=True)
@@ -151,17 +151,18 @@ def _test_on(
 
 
 def _periods(rollout: Rollout, swim: Segments) -> Float64:
-    """(m, 8) periods of a run with a known action and a known miss; see ``HeldOut.periods``."""
+    """(m, 8) periods of a run with a known action and a known residual; see ``HeldOut.periods``."""
     before = np.append([-1], swim.action[:-1])
     rows = np.column_stack([swim.action, before, rollout.start[:, 3:6], end_errors(rollout, swim)])
     return np.asarray(rows[np.isfinite(rows).all(axis=1) & (swim.action >= 0)], dtype=np.float64)
 
 
 def scatter(runs: Sequence[Float64], same_run: bool) -> PredictionError:
-    """Root mean square deviation of like periods from what they have in common; ``count`` pairs.
+    """Root mean square deviation of similar periods from their common part; ``count`` pairs.
 
-    Each period is paired with the one of the same action, after the same action, whose velocity at the start
-    is nearest. Half the squared difference of their misses is variance. It contains the noise of the fixes.
+    Each period is paired with the period of the same action, after the same action, whose initial velocity is
+    nearest. Half the squared difference of their residuals estimates the variance. It contains the noise of
+    the fixes.
 
     Args:
         runs: of each run its periods; see ``HeldOut.periods``.
@@ -184,8 +185,8 @@ def scatter(runs: Sequence[Float64], same_run: bool) -> PredictionError:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOutStudy(Found):
-    """Each run predicted by the effects that all others show.
+class HeldOutStudy(StudyResult):
+    """Each run predicted with the effects identified from all others.
 
     Attributes:
         left_out: runs that were not used: ``run`` and ``reason`` of each.
@@ -200,7 +201,7 @@ class HeldOutStudy(Found):
 
     @property
     def scatter(self) -> dict[str, PredictionError]:
-        """Scatter of like periods: of the same run, and of two runs."""
+        """Scatter of similar periods: within a run, and between runs."""
         runs = [row.periods for row in self.rows]
         return {"same_run": scatter(runs, True), "other_runs": scatter(runs, False)}
 
@@ -239,15 +240,15 @@ class HeldOutStudy(Found):
             errors = ", ".join(f"{title} {PredictionError(**of[key])}" for key, title in ERRORS.items())
             found = f"; {of['verdict']}: {', '.join(of['effects']) or 'no effect'}" if "verdict" in of else ""
             lines.append(f"{name}: {errors} over {of['periods']} periods{found}")
-        for name, pairs in (("same_run", "of one run"), ("other_runs", "of two runs")):
+        for name, pairs in (("same_run", "within a run"), ("other_runs", "between runs")):
             if like := values["scatter"][name]:
                 error = PredictionError(like["position_rmse_m"], like["heading_rmse_rad"])
-                lines.append(f"scatter of like periods {pairs}: {error} over {like['pairs']} pairs")
+                lines.append(f"scatter of similar periods {pairs}: {error} over {like['pairs']} pairs")
         return "\n".join(lines)
 
 
 def run(config: Heldout) -> HeldOutStudy:
-    """Cross-validate: predict each run by the effects that all others show."""
+    """Cross-validate: predict each run with the effects identified from all others."""
     swims = [read_segments(run) for run in config.runs]
     _, unused = reliable(swims)
     for row in unused:
@@ -278,7 +279,7 @@ def heldout_figure(rows: Sequence[HeldOut]) -> Figure:
                 after,
                 0.36,
                 color=style.PREDICTED,
-                label="with effects that the other runs show",
+                label="with effects identified from the other runs",
             )
             axes.vlines(
                 floor,

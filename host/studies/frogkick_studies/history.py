@@ -20,12 +20,12 @@ from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.tables.image import open_image
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import History
 
 VARIANTS = {
     "as described": "",
-    "limbs curl back 4 times as slowly": '[[effect]]\nname = "limb_wear"\nduration_scale = 4.0\n',
+    "limbs recover 4 times as slowly": '[[effect]]\nname = "limb_wear"\nduration_scale = 4.0\n',
     "strokes soon after another lose half": '[[effect]]\nname = "limb_memory"\nloss = 0.5\nfade_s = 2.0\n',
 }
 """Additions to the robot's TOML text."""
@@ -54,10 +54,10 @@ class HistoryResult:
     largest_mm: float
 
 
-def history_worth(
+def measure_limb_use(
     robot: Robot, states: int, test_states: int, seed: int, progress: Progress = lambda _done, _all: None
 ) -> list[HistoryResult]:
-    """Measure the three tables for each of VARIANTS."""
+    """Measure the errors of the three tables for each of VARIANTS."""
     results: list[HistoryResult] = []
     steps = itertools.count()
 
@@ -102,7 +102,7 @@ def _restarted(robot: Robot, library: Library) -> Library:
 
 
 @dataclass(frozen=True, eq=False)
-class HistoryStudy(Found):
+class HistoryStudy(StudyResult):
     results: Sequence[HistoryResult]
     seed: int
 
@@ -130,7 +130,7 @@ def run(config: History) -> HistoryStudy:
     with shown(True, "limb history") as tell:
         robot = load_robot(config.robot)
         return HistoryStudy(
-            history_worth(robot, config.states, config.test_states, config.seed, tell), config.seed
+            measure_limb_use(robot, config.states, config.test_states, config.seed, tell), config.seed
         )
 
 

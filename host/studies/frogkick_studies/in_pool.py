@@ -31,7 +31,7 @@ from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import swim
+from frogkick.runs.closed_loop import run_in_pool
 from frogkick.runs.record import RunOptions
 from frogkick.tables.image import read_image
 from frogkick_codegen.firmware import build
@@ -80,7 +80,10 @@ class Lines:
         first = json.dumps(head)
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
         kept = [line for line in lines[1:] if _read_line(line)] if lines[:1] == [first] else []
-        if lines != [first, *kept]:  # of other code, or a stop cut a line, which the next would then follow
+        if lines != [
+            first,
+            *kept,
+        ]:  # results of other code, or a line that was cut off, after which no line may follow
             file.parent.mkdir(parents=True, exist_ok=True)
             write_text(file, "".join(line + "\n" for line in (first, *kept)))
         self.values = [_read_line(line) for line in kept]
@@ -102,7 +105,7 @@ def _read_line(line: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Setting:
-    """A world by name, which is made again for each run, because effects may have a state.
+    """A world by name. It is created anew for each run, because effects may have a state.
 
     Attributes:
         tables: tables of its effects, as in a world's TOML file.
@@ -135,7 +138,7 @@ class Planner:
         table: name of its table for ``run_cases``: PAPER (all states of the paper's, nearest), ROBOT.
         config: cost, weights, depth.
         own: whether the cost is the robot's own.
-        learn: the host plans, and learns what the limbs have lost.
+        learn: the host plans, with an estimate of the limbs' wear.
     """
 
     name: str
@@ -146,7 +149,7 @@ class Planner:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class PathTask:
     """A path, and the pose of the robot at rest when its run begins.
 
     Attributes:
@@ -166,10 +169,10 @@ class Course:
         return digest.hexdigest()
 
 
-def course_of(name: str) -> Course:
+def shape_task(name: str) -> PathTask:
     """Return a shape by name, from its first point along its tangent."""
     path = shape(name)
-    return Course(name, path, start_pose(path))
+    return PathTask(name, path, start_pose(path))
 
 
 @dataclass(frozen=True)
@@ -200,20 +203,20 @@ def run_cases(
     out: Path,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
-    courses: Sequence[Course] = (),
+    path_tasks: Sequence[PathTask] = (),
 ) -> dict[Case, Outcome]:
-    """Run every case, except those whose results ``out`` holds for the same code, tables, world and course.
+    """Run every case, except those whose results ``out`` holds for the same code, tables, world and task.
 
     Args:
         robot: the robot of pool and firmware, without the effects of its file.
         tables: name of a table in ``planners`` -> table image.
-        courses: further paths of the cases besides shapes.
+        path_tasks: further paths of the cases besides shapes.
     """
     libraries = {
         name: build("native", path, robot, out / f"firmware-{name}").image for name, path in tables.items()
     }
     worlds = {setting.name: setting.sha256 for setting in settings}
-    ways = {course.name: course.sha256 for course in courses}
+    ways = {task.name: task.sha256 for task in path_tasks}
 
     def conditions(case: Case) -> str | None:
         return f"{worlds[case.world]} {ways.get(case.path, '')}" if case.world in worlds else None
@@ -225,7 +228,7 @@ def run_cases(
         if conditions(case := Case(**values["case"])) == values["conditions_sha256"]
     }
     waiting = [case for case in cases if case not in kept]
-    job = Job(_Ready, (robot, tables, libraries, planners, settings, courses), _run, _warm)
+    job = Job(_Ready, (robot, tables, libraries, planners, settings, path_tasks), _run, _warm)
     progress(len(cases) - len(waiting), len(cases))
     for index, outcome in run_chunks(job, waiting, workers):
         case = waiting[index]
@@ -287,13 +290,13 @@ class _Ready:
         libraries: Mapping[str, Path],
         planners: Sequence[Planner],
         settings: Sequence[Setting],
-        courses: Sequence[Course],
+        path_tasks: Sequence[PathTask],
     ) -> None:
         self.robot, self.libraries = robot, libraries
         self.tables = {name: read_image(path) for name, path in tables.items()}
         self.planners = {planner.name: planner for planner in planners}
         self.settings = {setting.name: setting for setting in settings}
-        self.courses = {course.name: course for course in courses}
+        self.path_tasks = {task.name: task for task in path_tasks}
 
 
 def _warm(ready: _Ready) -> None:
@@ -302,17 +305,17 @@ def _warm(ready: _Ready) -> None:
 
 def _run(ready: _Ready, case: Case) -> Outcome:
     planner = ready.planners[case.planner]
-    course = ready.courses.get(case.path) or course_of(case.path)
-    swum = swim(
+    task = ready.path_tasks.get(case.path) or shape_task(case.path)
+    swum = run_in_pool(
         NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs)),
         ready.tables[planner.table],
         ready.robot,
-        course.path,
+        task.path,
         RunOptions(planner.config, not planner.learn, TIME_LIMIT_S, learn=planner.learn),
         case.seed,
         "study",
         ready.settings[case.world].world(),
-        course.start_world,
+        task.start_world,
     )
     tracked = swum.tracking()
     return Outcome(

@@ -23,7 +23,7 @@ from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.report.style import ALARM, ESTIMATED, MEASURED, PREDICTED, TRUE, styled
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import require_tools
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Loop
 from frogkick_studies.in_pool import (
     PAPER,
@@ -54,7 +54,7 @@ NOMINAL = setting_from("nominal", ())
 HIDDEN = setting_from("hidden", _HIDDEN)
 """Effects that are in no table, of a size that recorded runs show."""
 _COLOURS = (MEASURED, ALARM, PREDICTED, ESTIMATED, TRUE)
-_SWUM_MMPS = 50  # no faster does it swim
+_SWUM_MMPS = 50  # upper limit of the robot's speed, mm/s
 _PROGRESS_TICKS_MMPS = (0, 10, 20, 30, 40, 50, 500)
 _DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 
@@ -62,7 +62,7 @@ _DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 def planners_of(robot: Robot, learn: bool = False) -> tuple[Planner, ...]:
     """Return the paper's planner; its cost at depth 3 on the robot's table; the robot's at depth 1 to 3.
 
-    With ``learn`` also the robot's on the host, which learns what the limbs have lost.
+    With ``learn`` also the robot's on the host, with an estimate of the limbs' wear.
     """
     own = config_of(robot.planner)
     return (
@@ -139,20 +139,20 @@ def judge(rows: Sequence[Summary], world: str, planners: Sequence[Planner], dept
     robot = {planner.config.depth: planner.name for planner in planners if planner.own}
     shipped = robot[depth]
     missed = []
-    # Compared without dividing: a planner that keeps a path exactly leaves nothing to divide by.
+    # Compared without a division, because the paper's distance may be 0.
     if not distance_m[shipped] <= RATIO_MOST * distance_m[paper]:
-        missed.append(f"{shipped} is further off than {RATIO_MOST:g} of the paper's distance")
+        missed.append(f"the distance of {shipped} is more than {RATIO_MOST:g} of the paper's")
     if not progress_mps[shipped] >= progress_mps[paper]:
         missed.append(f"{shipped} makes less progress than the paper's planner")
     if not min(distance_m[robot[2]], distance_m[robot[3]]) <= distance_m[robot[1]]:
-        missed.append("neither depth 2 nor depth 3 is as near as depth 1")
+        missed.append("the distances at depth 2 and depth 3 are both larger than at depth 1")
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = {name: float(np.divide(value, distance_m[paper])) for name, value in distance_m.items()}
     return Verdict(world, distance_m, progress_mps, ratios, tuple(missed))
 
 
 @dataclass(frozen=True, eq=False)
-class PlannersCompared(Found):
+class PlannersCompared(StudyResult):
     """The paper's planner and the robot's on the same paths, in the same worlds.
 
     Attributes:
@@ -198,7 +198,9 @@ class PlannersCompared(Found):
                 f"paper's), {1e3 * verdict.progress_mps[name]:5.1f} mm/s"
                 for name, distance_m in verdict.mean_distance_m.items()
             ]
-            lines += [f"  missed: {text}" for text in verdict.missed] or ["  all that was asked is so"]
+            lines += [f"  requirement not met: {text}" for text in verdict.missed] or [
+                "  all requirements are met"
+            ]
         return "\n".join(lines)
 
 
@@ -292,7 +294,7 @@ def loop_figure(
         axes[0, 0].set_yticks(_DISTANCE_TICKS_MM, [str(tick) for tick in _DISTANCE_TICKS_MM])
         axes[0, 0].set_ylim(-0.1, 1.4 * max(farthest_mm, 1.0))
         axes[0, 0].minorticks_off()
-        if fastest_mmps > _SWUM_MMPS:  # a run that took the path's end for its start
+        if fastest_mmps > _SWUM_MMPS:  # a run that took the end of the path for its start
             axes[1, 0].set_yscale("symlog", linthresh=_SWUM_MMPS, linscale=4.0)
             axes[1, 0].set_yticks(_PROGRESS_TICKS_MMPS, [str(tick) for tick in _PROGRESS_TICKS_MMPS])
             axes[1, 0].minorticks_off()

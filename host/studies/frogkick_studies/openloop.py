@@ -1,4 +1,4 @@
-"""Effects fitted to some groups of measured open-loop swims, tested on the groups left out (``fits.py``)."""
+"""Effects fitted to some groups of measured open-loop swims, tested on the held-out groups (``fits.py``)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from frogkick.core.progress import shown
 from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Openloop
 from frogkick_studies.fits import OpenLoop, Predicted, Split, open_loop, rmse_by_group
 from frogkick_studies.steady import gain_of, with_effects
@@ -29,7 +29,7 @@ _MARKS = "os^Dv<>P"
 
 
 @dataclass(frozen=True, eq=False)
-class OpenLoopStudy(Found):
+class OpenLoopStudy(StudyResult):
     """Effects fitted to some groups of measured swims, and their predictions of the others.
 
     Attributes:
@@ -82,16 +82,17 @@ class OpenLoopStudy(Found):
                 unit = "" if p["unit"] == "1" else f" {p['unit']}"
                 lines.append(
                     f"  {p['name']} {p['value']:.3g}{unit} ({p['low']:.3g} to {p['high']:.3g}; "
-                    f"plain model {p['nominal']:g})"
+                    f"nominal {p['nominal']:g})"
                 )
             if not split["parameters"]:
                 lines.append(
-                    "  no effect predicts left-out groups better beyond sampling error: the plain model stays"
+                    "  no effect improves the prediction of held-out groups beyond the sampling error: the "
+                    "nominal model is kept"
                 )
             for turn in split["tried"]:
                 gains = ", ".join(f"by {way} {_gain(g)}" for way, g in turn["mse_gain_m2_per_s2"].items())
                 lines.append(
-                    f"  tried {' '.join(turn['parameters'])}: mean square error of left-out groups falls "
+                    f"  tried {' '.join(turn['parameters'])}: mean square error of held-out groups falls "
                     f"{gains} mm^2/s^2: {'taken' if turn['taken'] else 'not taken'}"
                 )
             left = split["left_out_rmse_mps"]
@@ -108,7 +109,7 @@ class OpenLoopStudy(Found):
         for kind, test in values["test_by_kind"].items():
             lines.append(
                 f"all tests by {kind}: nominal {_mm(test['nominal_rmse_mps'])}, with effects "
-                f"{_mm(test['rmse_mps'])} mm/s over {test['swims']} swims not fitted to"
+                f"{_mm(test['rmse_mps'])} mm/s over {test['swims']} held-out swims"
             )
         lines += [f"skipped {skipped['case']}: {skipped['reason']}" for skipped in values["skipped"]]
         return "\n".join(lines)
@@ -201,7 +202,7 @@ def run(config: Openloop) -> OpenLoopStudy:
     """Fit effects to some groups of measured swims, and predict the speeds of those left out."""
     data, train, test = config.data_dir, config.train, config.test
     if (train is None) != (test is None) or (train is None) == (data is None):
-        raise InputError("give DATA_DIR, or both --train DIR and --test DIR")
+        raise InputError("DATA_DIR, --train, --test: give DATA_DIR, or both --train DIR and --test DIR")
     folder = data if train is None else train
     assert folder is not None
     nominal, cores = load_robot(config.robot), config.processes

@@ -2,8 +2,9 @@
 
 The paper asks what its planner would do with the rod simulation in the loop instead of a table. Here one
 planner, with one cost and one depth, follows paths in the simulated pool without hidden effects. Its model of
-the actions is the full nearest table, the robot's affine table, or the rods: copies of the swimming robots,
-with body and limbs, try every sequence of actions. No table can be a better model.
+the actions is the full nearest table, the robot's affine table, or the rods themselves (a model oracle):
+copies of the simulated robots, with body and limbs, try every sequence of actions. No table can be a better
+model.
 
 All three start equally, at a seed's distance from the path, get the same late, noisy fixes and use the
 robot's own estimator, so they differ only in the transitions. The rods need no measured velocity; a table is
@@ -38,15 +39,17 @@ from frogkick_studies.configs import Ceiling
 NEAREST, AFFINE, RODS = "nearest", "affine", "rods"
 SOURCES = (NEAREST, AFFINE, RODS)
 SETTLE_S = 1.0
-"""Time of fixes before the first decision, in which the estimator finds that the robot rests."""
+"""Time of fixes before the first decision, in which the estimator finds the robot at rest."""
 
 TIME = "time limit"
-_START = np.array([0.005, 0.005, np.deg2rad(5.0)])  # how far off a hand puts it into the water: m, m, rad
+_START = np.array(
+    [0.005, 0.005, np.deg2rad(5.0)]
+)  # spread of the initial pose around the path's start: m, m, rad
 
 
 @dataclass(frozen=True)
 class Task:
-    """Runs side by side: of one model at one depth along one path, a lane for each seed."""
+    """A batch of runs of one model at one depth along one path, with a lane for each seed."""
 
     path: str
     source: str
@@ -180,7 +183,7 @@ class _Lane:
                     self.ended, self.end_s = end.value, fix.arrival_s
 
     def decide(self, at_s: float, tables: Tables, is_tree: bool) -> int | None:
-        """Return the next action, None if the run is over. A tree begins at the velocity 0."""
+        """Return the next action, or None if the run is over; a table of a tree begins at the velocity 0."""
         at_us = round(at_s * 1e6)
         estimate = self._estimator.at(at_us)
         if estimate is None:
@@ -213,7 +216,7 @@ class _Lane:
 def _run(ready: _Ready, task: Task) -> list[Run]:
     """Simulate runs side by side until all are over."""
     robot, path, reference = ready.robot, shape(task.path), ready.tables[AFFINE]
-    # Never cut short: a search within the robot's time would make the sources differ in more than they say.
+    # No time limit: otherwise the models would differ in the depth of their searches as well.
     config = replace(config_of(robot.planner), depth=task.depth, transitions_max=0)
     lanes = [_Lane(reference, path, config, seed) for seed in task.seeds]
     first = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float64)
@@ -321,7 +324,7 @@ def motion_of(times_s: Float64, rows: Float64) -> Float64:
 
 
 def ask_rods(robot: Robot, batch: Batch, acting: Acting, depth: int) -> Float64:
-    """Let copies of swimming robots try every sequence of actions.
+    """Let copies of the simulated robots try every sequence of actions.
 
     Args:
         batch, acting: the robots at a decision; they are not changed.

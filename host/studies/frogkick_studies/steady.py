@@ -1,4 +1,4 @@
-"""Steady speeds of a robot with effects, parameters that they can show, and groups for cross-validation."""
+"""Steady speeds of a robot with effects, the parameters that they determine, and cross-validation groups."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ CANDIDATES: tuple[tuple[Free, ...], ...] = (
     (Free("limb_wear", "duration_scale", math.log(1.5)),),
     (Free("group_loss", "loss", 0.3, False, 0.0, (0.3,)), Free("group_loss", "fade_s", math.log(3.0))),
 )
-"""Parameters that steady speeds can show and all alloys share; those of a row are fitted together."""
+"""Parameters that steady speeds determine and all alloys share; those of a row are fitted together."""
 
 
 def expected(frees: Sequence[Free]) -> Float64:
@@ -161,7 +161,7 @@ RESAMPLES, LOWER = 2000, 0.025
 """Paired bootstrap over cases; the quantile of the gain that must be above 0 to accept an effect."""
 
 
-def plans_of(
+def splits_of(
     here: _Rows, there: _Rows, train: Sequence[float], test: Sequence[float], apart: bool
 ) -> list[tuple[str, str, list[ExperimentResult], list[ExperimentResult]]]:
     """Return kind, name, training swims and test swims of each split."""

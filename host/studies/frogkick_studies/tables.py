@@ -16,7 +16,7 @@ from frogkick.library import Library, error_on, fit_table, quantise, read_librar
 from frogkick.library.fitting import require_enough
 from frogkick.report import style
 from frogkick.tables.image import open_image
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Tables
 
 KIB = 1024
@@ -53,7 +53,7 @@ class TablePoint:
 
 
 @dataclass(frozen=True)
-class TableSizes(Found):
+class TableSizes(StudyResult):
     """Tables by their size, and affine ones of 64 KiB by their library's size; the unseen states' seed."""
 
     by_size: tuple[TablePoint, ...]

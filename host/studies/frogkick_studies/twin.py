@@ -1,7 +1,7 @@
 """The calibrated twin: a robot as its recorded runs show it, in the pool with its own effects.
 
-The paper's planner, with the motions that its authors' runs show it assumed, should follow the paths as badly
-as in these runs, and the robot's own planner, whose table contains the effects, should follow them well.
+The paper's planner, with the motions that it assumed in its authors' runs, should follow the paths as badly
+as in these runs. The robot's own planner, whose table contains the effects, should follow them well.
 """
 
 from __future__ import annotations
@@ -27,16 +27,15 @@ from frogkick.runs.record import along_path
 from frogkick.runs.recorded.importer import RUN_NAME, clock_problem, path_file, read_recorded
 from frogkick.runs.runlog import RunLog
 from frogkick_codegen.firmware import require_tools
-from frogkick_studies import Found
-from frogkick_studies.believed import Believed, Choices, believed_motions, choices_of, image_of_motions
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Twin
 from frogkick_studies.in_pool import (
     PAPER,
     PAPER_STATES,
     ROBOT,
     Case,
-    Course,
     Outcome,
+    PathTask,
     Planner,
     Setting,
     Summary,
@@ -47,23 +46,34 @@ from frogkick_studies.in_pool import (
     shape_names,
     summaries,
 )
+from frogkick_studies.inverse_planning import (
+    AssumedMotions,
+    Choices,
+    assumed_motions,
+    choices_of,
+    image_of_motions,
+)
 from frogkick_studies.loop import loop_figure, table_of_rows
 
 TWIN_STATES, TWIN_SAMPLING = 1000, "planned"
-"""The library of the fitted robot, whose limbs have a history, on which its effects depend. A table of as
-many rested states has ten times the error along the runs."""
+"""Sampling and size of the fitted robot's library.
+
+Its states have a stroke history, on which its effects depend; a table of as many rested states has ten times
+the error along the runs."""
 _MEASURES = ("mean_distance_m", "progress_mps")
 _MOTION = ("forward_m", "left_m", "turn_rad")
-FULL, BELIEVED = "full", "believed"
+FULL, ASSUMED = "full", "believed"
 """Names for ``run_cases`` of the tables of all states of the library that ROBOT's is fitted to, and of the
 motions that the authors' planner assumed."""
 
 DISTANCE_MOST_M = 0.010
-"""Largest mean distance to the paths of the robot's own planner with its own table."""
+"""Limit of the mean distance to the paths for the robot's own planner with its own table."""
 
 SKIPPED_MPS = 0.1
-"""Progress that no robot makes. The paper's planner takes the nearest path point as the robot's place:
-near the start of a nearly closed path that may be the end, and the run is over."""
+"""Progress above this is impossible.
+
+The paper's planner takes the nearest path point as the robot's place: near the start of a nearly closed path
+that may be the end, and the run is over."""
 
 TWIN = "twin"
 
@@ -77,7 +87,7 @@ class Recorded:
         mean_distance_m, progress_mps: from its fixes, from the first stroke on.
     """
 
-    course: Course
+    task: PathTask
     choices: Choices
     mean_distance_m: float
     progress_mps: float
@@ -128,14 +138,14 @@ def require_related(robot: Robot, nominal: Robot) -> None:
         )
 
 
-def planners_of_twin(robot: Robot, is_believed_known: bool) -> tuple[Planner, ...]:
+def planners_of_twin(robot: Robot, are_motions_known: bool) -> tuple[Planner, ...]:
     """Return the planners to compare; the last one is the robot's own with its own table.
 
     Before it: the paper's with the nominal robot's table, and with the motions that it assumed (if they are
     known); the robot's with all states of a library that contains the effects.
     """
     own = config_of(robot.planner)
-    believed = (Planner("paper, as it believed", BELIEVED, PlanConfig()),) if is_believed_known else ()
+    believed = (Planner("paper, assumed motions", ASSUMED, PlanConfig()),) if are_motions_known else ()
     return (
         Planner("paper", PAPER, PlanConfig()),
         *believed,
@@ -151,7 +161,9 @@ def read_runs(folder: Path) -> list[Recorded]:
     files = [file for file in sorted(folder.iterdir()) if RUN_NAME.fullmatch(file.name)]
     ready = [file for file in files if path_file(file).exists()]
     if not ready:
-        raise InputError(f"--runs {str(folder)!r} holds no run with its path, as line1.csv and linep1.csv")
+        raise InputError(
+            f"--runs {str(folder)!r} holds no run with its path: name a folder with line1.csv and linep1.csv"
+        )
     return [_recorded(file.stem, read_recorded(file)) for file in ready]
 
 
@@ -172,7 +184,7 @@ def _recorded(name: str, run: RunLog) -> Recorded:
     heading = float(wrap_angle(resting[0, 2] + np.median(turned)))
     start = (float(np.median(resting[:, 0])), float(np.median(resting[:, 1])), heading)
     mean_m, _, progress_mps = along_path(path, fixes.time_s[moving], poses[moving])
-    return Recorded(Course(name, path, start), choices_of(run), mean_m, progress_mps)
+    return Recorded(PathTask(name, path, start), choices_of(run), mean_m, progress_mps)
 
 
 def mean_over(outcomes: Mapping[Case, Outcome], planner: str, paths: Sequence[str]) -> Mean:
@@ -194,7 +206,7 @@ def mean_over(outcomes: Mapping[Case, Outcome], planner: str, paths: Sequence[st
 
 
 @dataclass(frozen=True, eq=False)
-class TwinStudy(Found):
+class TwinStudy(StudyResult):
     """The paper's planner and the robot's in the pool of a robot as its recorded runs show it.
 
     Attributes:
@@ -212,7 +224,7 @@ class TwinStudy(Found):
     rows: Sequence[Summary]
     over: Mapping[str, Sequence[Mean]]
     recorded: Sequence[Recorded]
-    believed: Believed | None
+    believed: AssumedMotions | None
     planners: Sequence[str]
     seeds: int
     table_bytes: Mapping[str, int]
@@ -234,7 +246,7 @@ class TwinStudy(Found):
 
     @property
     def _marks(self) -> dict[str, tuple[float, float]]:
-        return {one.course.name: (one.mean_distance_m, one.progress_mps) for one in self.recorded}
+        return {one.task.name: (one.mean_distance_m, one.progress_mps) for one in self.recorded}
 
     def plot(self) -> Figure:
         paths = list(dict.fromkeys(row.path for row in self.rows))
@@ -256,7 +268,7 @@ class TwinStudy(Found):
             "table_bytes": dict(self.table_bytes),
         }
 
-    def _assumed(self, believed: Believed) -> dict[str, Any]:
+    def _assumed(self, believed: AssumedMotions) -> dict[str, Any]:
         motions = zip(self.nominal.actions, believed.motion.tolist(), strict=True)
         return {
             "motion": {action.name: dict(zip(_MOTION, motion, strict=True)) for action, motion in motions},
@@ -272,13 +284,12 @@ class TwinStudy(Found):
     def _tracking(self) -> list[str]:
         lines = table_of_rows(self.rows)
         lines += [
-            f"{one.course.name}: recorded {1e3 * one.mean_distance_m:.1f} mm, "
-            f"{1e3 * one.progress_mps:.1f} mm/s"
+            f"{one.task.name}: recorded {1e3 * one.mean_distance_m:.1f} mm, {1e3 * one.progress_mps:.1f} mm/s"
             for one in self.recorded
         ]
         wide = max(len(row.planner) for row in self.rows)
         for group, means in self.over.items():
-            lines.append(f"{group.replace('_', ' ')}, which weigh alike:")
+            lines.append(f"{group.replace('_', ' ')}, with equal weights:")
             lines += [
                 f"  {mean.planner:{wide}s}  {1e3 * mean.mean_distance_m:6.2f} mm, "
                 f"{1e3 * mean.progress_mps:5.1f} mm/s, {100 * mean.completed:3.0f} % completed"
@@ -294,7 +305,7 @@ class TwinStudy(Found):
             return []
         return [
             f"of {believed.decisions} recorded decisions the paper's planner makes "
-            f"{100 * believed.agreement:.0f} % ({100 * believed.held_out_agreement:.0f} % in runs left out; "
+            f"{100 * believed.agreement:.0f} % ({100 * believed.held_out_agreement:.0f} % in held-out runs; "
             f"{100 * believed.nominal_agreement:.0f} % with the model's mean motions) if it assumes:",
             *(
                 f"  {action.name}: {100 * forward:5.2f} cm forward, {100 * left:5.2f} cm left, "
@@ -322,19 +333,19 @@ def run(config: Twin) -> TwinStudy:
     believed = None
     if recorded:
         begin = model.displacement_body[model.whole_states()].mean(axis=0)
-        believed = believed_motions([one.choices for one in recorded], nominal, begin)
-        images[BELIEVED] = out / f"{BELIEVED}.fkt"
-        write_bytes(images[BELIEVED], image_of_motions(nominal, believed.motion))
+        believed = assumed_motions([one.choices for one in recorded], nominal, begin)
+        images[ASSUMED] = out / f"{ASSUMED}.fkt"
+        write_bytes(images[ASSUMED], image_of_motions(nominal, believed.motion))
     planners = planners_of_twin(robot, believed is not None)
     names = [planner.name for planner in planners]
-    courses = [one.course for one in recorded]
-    ways = [*shapes, *(course.name for course in courses)]
+    path_tasks = [one.task for one in recorded]
+    ways = [*shapes, *(task.name for task in path_tasks)]
     cases = [Case(TWIN, one, name, seed) for one in ways for name in names for seed in range(config.seeds)]
     with shown(True, "runs") as tell:
         outcomes = run_cases(
-            body_of(robot), images, planners, [setting], cases, out, processes, tell, courses
+            body_of(robot), images, planners, [setting], cases, out, processes, tell, path_tasks
         )
-    groups = {"shapes": shapes, "recorded_paths": [course.name for course in courses]}
+    groups = {"shapes": shapes, "recorded_paths": [task.name for task in path_tasks]}
     return TwinStudy(
         nominal,
         outcomes,

@@ -1,9 +1,9 @@
-"""Are verdicts right? Worlds with planted effects, identified from runs alone, and counted.
+"""How often verdicts are right: synthetic effects in simulated worlds, identified from runs alone.
 
 Each case makes runs of the simulated robot along the paper's paths in a world that identification never
-sees: nothing planted, one effect of the catalogue with random parameters, two at once, an effect of a user's
-own file that the catalogue does not have, or one or two that a law can describe. For these laws are searched
-as well, and the right kind must be named.
+reads: with no effect, one effect of the catalogue with random parameters, two at once, an effect of a user's
+own file that the catalogue does not contain, or one or two effects that a law can describe. For the last
+group laws are searched as well, and the right kind must be named.
 """
 
 from __future__ import annotations
@@ -37,16 +37,26 @@ from frogkick.planner.plan import config_of
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.report import style
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import swim
+from frogkick.runs.closed_loop import run_in_pool
 from frogkick.runs.record import RunOptions
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build, require_tools
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Verdicts
 from frogkick_studies.in_pool import Lines, stamp_of
-from frogkick_studies.judged import Result, judged
-from frogkick_studies.planted import LAWS, NULL, ONE, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, TWO, Kind, kinds
-from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT, Table, enough_of
+from frogkick_studies.scoring import Result, score_case
+from frogkick_studies.synthetic_effects import (
+    LAWS,
+    NULL,
+    ONE,
+    OUTSIDE,
+    OUTSIDE_FILE,
+    OUTSIDE_TEXT,
+    TWO,
+    Kind,
+    kinds,
+)
+from frogkick_studies.synthetic_laws import LAWS_FILE, LAWS_TEXT, Table, enough_of
 
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.95, OUTSIDE: 0.95, LAWS: 0.8}
 """Share of the cases of a group that must be right."""
@@ -54,19 +64,20 @@ LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.95, OUTSIDE: 0.95, LAWS: 0.8}
 MOST_WRONG = {NULL: 0.02, ONE: 0.02, TWO: 0.02, OUTSIDE: 0.02, LAWS: 0.03}  # share that may be wrongly found
 
 GONE, LEAST_GONE = 0.7, 0.85
-"""With laws so much of the way from the error before to the floor must be gone, in so many cases."""
+"""Laws: share of the error above the noise floor that must be removed, in this share of the cases."""
 
 OVER_FLOOR = (2.0, 20.0)
-"""Laws are drawn again until the nominal model misses the test run by so many floors, in position, and the
-runs to learn from hold enough of them."""
+"""Laws are drawn again until the nominal model's position error on the test run is in this range.
 
-DRAWS_MOST = 40  # the draw after so many others is taken as it is
+It is in noise floors. The training runs must contain enough of the effect, too."""
+
+DRAWS_MOST = 40  # after this many draws the last one is used
 
 TRAIN, TEST = ("sine", "ellipse", "line"), ("bends",)
-MORE = {LAWS: ("circle",)}  # group -> paths to learn from besides: laws have four runs
+MORE = {LAWS: ("circle",)}  # group -> further training paths: laws have four runs
 
 HURRY = 0.5
-"""Of the planner's weight of progress so much on the test path: other actions in another order, slower."""
+"""Share of the planner's progress weight on the test path, for other actions in another order, and slower."""
 TIME_LIMIT_S = 60.0
 
 GROUP = 24
@@ -146,7 +157,9 @@ def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence
             config = dataclasses.replace(config, progress_weight_per_m=hurry)
         options = RunOptions(config, time_limit_s=TIME_LIMIT_S)
         port = NativeRobot(ready.library, len(ready.robot.limbs))
-        swum = swim(port, ready.tables, ready.robot, shape(name), options, [seed, index], source, world)
+        swum = run_in_pool(
+            port, ready.tables, ready.robot, shape(name), options, [seed, index], source, world
+        )
         log = swum.log()
         swims.append(segments_of(dataclasses.replace(log, truth=None), f"{name}-{index}", ready.robot))
     return swims
@@ -166,13 +179,13 @@ def _run_one(ready: _Ready, case: Case) -> Result:
     planted, train, test, draws = _drawn(ready, case, kind, np.random.default_rng(seed))
     begun_s = cpu_s()
     outcome = identify(train, test, ready.robot, laws=ready.laws or kind.group == LAWS)
-    return dataclasses.replace(judged(kind, planted, outcome, cpu_s() - begun_s), draws=draws)
+    return dataclasses.replace(score_case(kind, planted, outcome, cpu_s() - begun_s), draws=draws)
 
 
 def _drawn(
     ready: _Ready, case: Case, kind: Kind, rng: np.random.Generator
 ) -> tuple[list[Table], list[Segments], list[Segments], int]:
-    """A world of a kind, its runs to learn from and to test, and how often it was drawn."""
+    """A world of a kind, its training and test runs, and how often it was drawn."""
     learned = [*TRAIN, *MORE.get(kind.group, ())]
     names = [limb.name for limb in ready.robot.limbs]
     for draws in range(1, DRAWS_MOST + 1):
@@ -183,7 +196,7 @@ def _drawn(
             low, high = OVER_FLOOR
             if kind.group != LAWS:
                 break
-            if enough_of(planted, train, names) and low <= over_floor(train, test, ready.robot) <= high:
+            if enough_of(planted, train, names) and low <= error_over_floor(train, test, ready.robot) <= high:
                 break
         except FrogkickError:  # such as a robot that is pulled out of the camera's sight
             if kind.group != LAWS or draws == DRAWS_MOST:
@@ -191,8 +204,8 @@ def _drawn(
     return planted, train, test, draws
 
 
-def over_floor(train: Sequence[Segments], test: Sequence[Segments], robot: Robot) -> float:
-    """By how many noise floors the nominal model misses test runs in position, as identification will say."""
+def error_over_floor(train: Sequence[Segments], test: Sequence[Segments], robot: Robot) -> float:
+    """The nominal model's position error on the test runs, in noise floors, as identification reports it."""
     data, nominal = search.nominal_fit(train, robot)
     (rollouts,) = rollouts_of([nominal.model], test)
     both = scored(search.Found(data, nominal, nominal), test, rollouts, rollouts)
@@ -200,16 +213,18 @@ def over_floor(train: Sequence[Segments], test: Sequence[Segments], robot: Robot
 
 
 @dataclass(frozen=True, eq=False)
-class VerdictStudy(Found):
-    """Effects planted in simulated pools, and what identification made of the runs."""
+class VerdictStudy(StudyResult):
+    """Synthetic effects in simulated pools, and the results of identification."""
 
     results: Mapping[Case, Result]
 
     @property
     def groups(self) -> dict[str, dict[str, Any]]:
-        """Group of kinds -> cases, right and wrongly found ones, planted parameters of effects that were
-        found, how many of these are inside their intervals, and whether all is as good as asked; of laws as
-        well in how many enough of the error is gone."""
+        """Group of kinds -> its counts.
+
+        They are: cases, right ones, wrongly found ones, true parameters of identified effects, how many of
+        these are inside their intervals, and whether the requirements are met; for laws also in how many
+        cases enough of the error is removed."""
         known, found = kinds(), {}
         for group, least in LEAST.items():
             some = [result for case, result in self.results.items() if known[case.kind].group == group]
@@ -258,21 +273,21 @@ class VerdictStudy(Found):
             )
             lines.append(
                 f"{'ok' if result.right else 'NO'} {case.key}: "
-                f"planted {'; '.join(result.planted) or 'nothing'}; {result.verdict}: "
+                f"true {'; '.join(result.planted) or 'no effect'}; {result.verdict}: "
                 f"{'; '.join(result.found) or 'no effect'}; {errors}; {result.cpu_s:.0f} s"
                 + (f"; drawn {result.draws} times" if result.draws > 1 else "")
             )
         lines += [
             f"{name}: {group['right']} of {group['cases']} right, {group['wrongly_found']} wrongly found, "
             f"{group['inside']} of {group['parameters']} parameters inside their intervals"
-            + (f", {group['gone']} with {100.0 * GONE:.0f} % of the error gone" if "gone" in group else "")
+            + (f", {group['gone']} with {100.0 * GONE:.0f} % of the error removed" if "gone" in group else "")
             for name, group in self.groups.items()
         ]
         return "\n".join(lines)
 
 
 def run(config: Verdicts) -> VerdictStudy:
-    """Plant effects in simulated pools, identify them from the runs, and count what comes out."""
+    """Put synthetic effects in simulated pools, identify them from the runs, and count the verdicts."""
     known = kinds()
     for name in config.kind or ():
         if name not in known:
@@ -290,7 +305,7 @@ def run(config: Verdicts) -> VerdictStudy:
 
 
 def cases_of(names: Sequence[str], first: int, seeds: int, each: int | None) -> list[Case]:
-    """Cases of some kinds: so many seeds of each kind, or so many of each group, its kinds in turn."""
+    """Cases of some kinds: ``seeds`` of each kind, or ``each`` of each group, its kinds in turn."""
     if each is None:
         return [Case(name, seed) for seed in range(first, first + seeds) for name in names]
     found = []
@@ -316,7 +331,7 @@ def verdicts_figure(results: Mapping[Case, Result]) -> Figure:
             left.text(2.0, at, str(len(some)), va="center", color="white", fontsize=7)
             for errors, colour, label in (
                 ("before", style.DESIRED, "nominal"),
-                ("after", style.TRUE, "with what was found"),
+                ("after", style.TRUE, "with identified effects"),
             ):
                 over = [getattr(result, errors)[0] / result.floor[0] for result in some]
                 right.plot(
@@ -335,7 +350,7 @@ def verdicts_figure(results: Mapping[Case, Result]) -> Figure:
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.6 / figure.get_figheight()), ncols=2)
         right.axvline(1.0, color=style.ALARM, linestyle="--", linewidth=0.8)
         right.set_xscale("log")
-        right.set_xlabel("position missed a period ahead, over the noise floor (test runs)")
+        right.set_xlabel("position error one period ahead / noise floor (test runs)")
         right.set_title("Errors before and after")
         right.set_xlim(0.5, None)
         right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.6 / figure.get_figheight()), ncols=2)

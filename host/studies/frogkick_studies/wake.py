@@ -1,13 +1,14 @@
-"""Strokes that meet each other's wake: measured over phase offsets, and predicted where nothing was measured.
+"""The wake of earlier strokes: fitted to measured series over phase offset, and predicted for another gait.
 
-Rods in a plane carry no wake, so their speed hardly depends on the phase offset between front and rear limbs.
-Here a stroke loses a share of its thrust to the water that the other pair of limbs left in motion: ``share``
-right after that pair's stroke, less by exp(-gap / memory) a gap later. The two gaps of a cycle of frequency f
-are phase / f and (1 - phase) / f, so that two numbers shape the speed over all phases and frequencies.
+The planar rods have no wake, so their speed hardly depends on the phase offset between front and rear limbs.
+Here a stroke loses a share of its thrust to the water that the other pair of limbs has set in motion:
+``share`` right after that pair's stroke, and ``share`` exp(-gap / memory) after a gap. The two gaps of a
+cycle of frequency f are phase / f and (1 - phase) / f, so two numbers determine the speed over all phases and
+frequencies.
 
-Both are fitted to series over phase, each with a level of its own: how far a series as a whole is off varies
-from build to build and with the frequency, and no wake explains it. The spread of these levels, over all
-measured alloys and frequencies, is the larger part of the interval of a prediction.
+Both are fitted to series over phase, each with a mean level of its own, because the error of a whole series
+varies from build to build and with the frequency, and no wake explains it. The spread of these levels, over
+all measured alloys and frequencies, is the larger part of the interval of a prediction.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from frogkick.effects.swims import Gait
 from frogkick.report import style
 from frogkick.robot import load_robot
 from frogkick.validation.validate import ExperimentResult, swum_of, validate
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Wake
 
 Series = Sequence[ExperimentResult]
@@ -54,8 +55,8 @@ class LeftOut:
 
 
 @dataclass(frozen=True, eq=False)
-class WakeStudy(Found):
-    """The wake that series over phase show, and what it predicts for another one.
+class WakeStudy(StudyResult):
+    """The wake that was fitted to series over phase offset, and its prediction for another gait.
 
     Attributes:
         share, memory_s: fitted to all series.
@@ -104,7 +105,7 @@ class WakeStudy(Found):
             f"{self.memory_s:.2f} s"
         ]
         lines += [
-            f"left out {each.name}: {1e3 * each.before_mps:.2f} mm/s RMS about its level without the wake, "
+            f"held out {each.name}: {1e3 * each.before_mps:.2f} mm/s RMS about its level without the wake, "
             f"{1e3 * each.after_mps:.2f} with it"
             for each in self.left_out
         ]
@@ -144,7 +145,7 @@ class WakeStudy(Found):
 
 
 def kept(values: Float64, phase: Float64, frequency_hz: Float64 | float) -> Float64:
-    """The part of the speed that a wake of (share, memory in s) leaves, over phase offsets and frequencies.
+    """The share of the speed that remains with a wake of (share, memory in s), over phases and frequencies.
 
     Each pair of limbs gives half of the thrust.
     """

@@ -1,11 +1,15 @@
-"""What theory says of the water, held against measured swims and recorded runs.
+"""Theory about the water, tested on measured swims and recorded runs.
 
-Each hypothesis is a robot's effects with values from theory, not from data. Swims: the speeds of all gaits by
-one factor, which stands for the drag of the frame and is fitted without the group that is predicted: an EGaIn
-fraction, a band of frequencies, or a series. Recorded runs: predictions one period ahead, to which nothing is
-fitted but the noise of the filter, one of four. With ``joint`` all effects of the calibrated robot are fitted
-together with the hypothesis, which stays where theory has it, to all runs; of tips it is also fitted how much
-they shed. Then each run is predicted by the fit without it, one Gauss-Newton step away from that to all.
+Each hypothesis is a set of effects with values from theory, not from data.
+
+- Swims: the speeds of all gaits are multiplied by one factor, which represents the drag of the frame. It is
+  fitted without the group that is predicted: an EGaIn fraction, a band of frequencies, or a series.
+- Recorded runs: predictions one period ahead. Nothing is fitted but the process noise of the filter, one of
+four.
+
+With ``joint`` all effects of the calibrated robot are fitted to all runs together with the hypothesis, whose
+own values stay those of theory; only the amount of vortex shedding of the tips is fitted as well. Then each
+run is predicted by the fit without it, which is one Gauss-Newton step away from the fit to all.
 """
 
 from __future__ import annotations
@@ -42,7 +46,7 @@ from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick.validation.measured import Profiles
 from frogkick.validation.validate import ExperimentResult, root_mean_square, swum_of, validate
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Water
 from frogkick_studies.steady import gain_of, groupings, with_effects
 
@@ -52,10 +56,10 @@ INNER_M, HEIGHT_M, DENSITY_SHARE = 0.035, 0.035, 0.9
 """The paper's frame: a ring of 90 and 35 mm, 35 mm high; its density over the water's (matched)."""
 
 PREDICTING = "limbs are plates"
-"""The hypothesis whose speeds are predicted where no swim was measured."""
+"""The hypothesis by which speeds are predicted for alloys without measured swims."""
 
 STEPS, DAMPING = 6, 1e-3
-"""Steps of a joint fit at most, and the damping of the step that leaves a run out."""
+"""Largest number of steps of a joint fit, and the damping of the step that holds a run out."""
 
 
 def ring(robot: Robot) -> dict[str, float]:
@@ -97,7 +101,7 @@ class Swims:
     """Measured swims by one hypothesis.
 
     Attributes:
-        rmse_mps: as it stands.
+        rmse_mps: without a fit.
         factor: on its speeds, fitted to all.
         left_out_mps: way of grouping -> RMSE of groups that the factor was not fitted to.
         gain_m2_per_s2: way -> by how much this lowers the mean square error of the nominal robot, and the
@@ -111,7 +115,7 @@ class Swims:
 
 
 def of_swims(speeds: Float64, nominal: Float64, rows: Sequence[ExperimentResult]) -> Swims:
-    """Judge speeds, m/s, of the gaits of measured swims beside those of the nominal robot as it stands."""
+    """Compare speeds, m/s, of measured swims with measurement and with the nominal robot's without a fit."""
     measured = np.array([row.reference.speed_mps for row in rows])
     ways = groupings(rows) | {"series": [row.case.group for row in rows]}
     left_out, gains = {}, {}
@@ -144,7 +148,7 @@ class Joint:
 
 
 def quietest(model: Model, swims: Sequence[Segments]) -> Model:
-    """Return the model with that one of NOISES that predicts best."""
+    """Return the model with the one of NOISES that predicts best."""
     models = [replace(model, noise=noise) for noise in NOISES]
     found = [end_deviance(rollouts, swims) for rollouts in rollouts_of(models, swims)]
     return models[int(np.argmin(found))]
@@ -159,7 +163,7 @@ def as_it_stands(robot: Robot, tables: Sequence[Table], swims: Sequence[Segments
 
 
 def together(robot: Robot, name: str, swims: Sequence[Segments]) -> Joint:
-    """Fit all effects of the robot's calibrated start together with a hypothesis, and leave each run out."""
+    """Fit all effects of the robot's calibrated start together with a hypothesis, and hold each run out."""
     terms, fixed = started(robot, hypotheses(robot)[name], FITTED.get(name))
     model = quietest(Model(coarsened(robot), terms, NOISES[0], LEG_S, fixed=fixed), swims)
     model = quietest(GaussNewton(model, swims).run(STEPS), swims)
@@ -219,7 +223,7 @@ def started(
 
 @dataclass(frozen=True)
 class Row:
-    """One hypothesis; None where there are no such data."""
+    """One hypothesis; None without such data."""
 
     name: str
     swims: Swims | None
@@ -238,7 +242,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class WaterStudy(Found):
+class WaterStudy(StudyResult):
     """Each hypothesis, the nominal robot first.
 
     Attributes:
@@ -263,8 +267,8 @@ class WaterStudy(Found):
             if swims := row["swims"]:
                 left = ", ".join(f"by {way} {1e3 * v:.2f}" for way, v in swims["left_out_mps"].items())
                 lines.append(
-                    f"  swims {1e3 * swims['rmse_mps']:.2f} mm/s as it stands; times {swims['factor']:.2f} "
-                    f"fitted to others, left out {left} mm/s"
+                    f"  swims {1e3 * swims['rmse_mps']:.2f} mm/s without a fit; times {swims['factor']:.2f} "
+                    f"fitted to others, held out {left} mm/s"
                 )
                 gains = ", ".join(
                     f"by {way} {1e6 * gain:.0f} ({1e6 * low:.0f} to {1e6 * high:.0f})"
@@ -272,10 +276,10 @@ class WaterStudy(Found):
                 )
                 lines.append(f"  mean square error of the nominal robot falls {gains} mm^2/s^2")
             if runs := row["runs"]:
-                lines.append(f"  recorded runs as it stands: {PredictionError(**runs)}")
+                lines.append(f"  recorded runs without a fit: {PredictionError(**runs)}")
             if joint := row["joint"]:
                 lines.append(
-                    f"  fitted together: {PredictionError(**joint['fitted'])}; runs left out: "
+                    f"  fitted together: {PredictionError(**joint['fitted'])}; held-out runs: "
                     f"{PredictionError(**joint['left_out'])}"
                 )
                 lines += [f"    {name} {value:.3g}" for name, value in joint["values"].items()]
@@ -298,8 +302,8 @@ class WaterStudy(Found):
                 height = 0.8 / len(ways)
                 axes.barh(place + 0.4 - (k + 0.5) * height, errors, 0.9 * height, label=f"by {way}")
             axes.set_yticks(place, [row.name for row in rows])
-            axes.set_xlabel("speed of groups left out, error, mm/s RMS")
-            axes.set_title("What theory says of the water")
+            axes.set_xlabel("speed error of held-out groups (mm/s RMS)")
+            axes.set_title("Theory about the water")
             style.legend_below(figure, axes)
         return figure
 
@@ -326,7 +330,10 @@ def run(config: Water) -> WaterStudy:
         found = validate(robot, config.data_dir, config.processes, tell)
     measured = found.experiments
     if not measured:
-        raise InputError(f"{str(config.data_dir)!r} has no measured swim whose limbs have a profile")
+        raise InputError(
+            f"{str(config.data_dir)!r} has no measured swim whose limbs have a profile: "
+            "give a folder with exp/ and profile/"
+        )
     paths = [
         file
         for file in sorted((config.data_dir / "control").glob("*.csv"))

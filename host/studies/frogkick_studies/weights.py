@@ -1,9 +1,9 @@
 """Weights of the planner, tuned in the table's own model on random paths and judged on others.
 
-The robot moves as its table says, plus a little noise, so a run takes milliseconds. The search is
-differential evolution (Storn & Price 1997) of the weights' logarithms. Scored are the runs of a healthy
-robot and of one with a worn limb that knows it. A run that begins astray may not end farther from its path
-than with the weights before.
+The simulated robot moves as its table says, plus a little noise, so a run takes milliseconds. The search is
+differential evolution (Storn & Price 1997) of the weights' logarithms. The score counts runs of a healthy
+robot and of one with a worn limb whose wear is known to the planner. A run that begins off its path may not
+end farther from it than with the weights before.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.tables.image import Tables, read_image
 from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
 from frogkick_codegen.native import NativeLibrary
-from frogkick_studies import Found
+from frogkick_studies import StudyResult
 from frogkick_studies.configs import Weights
 
 TUNED = (
@@ -41,29 +41,31 @@ BENDS_RAD = (0.18, 0.3, 0.48, 0.72)
 CLOSED_STROKES = ((2.7, 1.7), (2.0, 2.0), (3.3, 2.2), (2.3, 1.5))
 """Half axes of the closed paths that are tuned on, in longest strokes."""
 JUDGED = ("ellipse", "bends", "eight", "circle")
-"""Shapes that nothing is tuned on. The sine is left out, as its ends bend more than the robot can turn."""
-ASTRAY = ((1.5, 0.0), (0.0, 1.57), (0.0, -2.2), (-1.5, -1.0), (0.0, 3.1), (1.0, 2.5))
-"""Where runs begin that have to find their path: longest strokes to its left, and rad by which they point
-further to the left than it does."""
+"""Shapes that are not used for tuning.
+
+The sine is left out, as its ends bend more than the robot can turn.
+"""
+OFFSETS = ((1.5, 0.0), (0.0, 1.57), (0.0, -2.2), (-1.5, -1.0), (0.0, 3.1), (1.0, 2.5))
+"""Initial poses off the path: longest strokes to its left, and rad from its direction to the left."""
 STRAIGHT_STROKES = 8.0
-"""Length of the line along which they have to find it, in longest strokes."""
+"""Length of the line for the runs that begin off their path, in longest strokes."""
 LAST = 3
-"""How many of their decisions tell whether they have: those before the end."""
+"""Number of last decisions whose distance shows whether these runs have reached their path."""
 DECISIONS_MOST = 80
 NOISE = 0.01
-"""Of each decision: of the longest stroke (position), in radians, and twice as much of its mean speed."""
-_LOST_PROGRESS = 10.0  # what one part of progress weighs against one part of distance
+"""Noise of each decision: of position in longest strokes, of heading in rad; for the speed twice as much."""
+_LOST_PROGRESS = 10.0  # weight of a relative loss of progress against a relative change of distance
 _UNFINISHED = 5.0
-_SHARE = 0.5  # what the score of worn limbs counts beside that of the healthy robot
-_FOUND = 0.1  # longest strokes from its path: a run from astray has found it
+_SHARE = 0.5  # weight of the worn limbs' score relative to the healthy robot's
+_REACHED = 0.1  # a run that began off its path has reached it within this many longest strokes
 _WORN = 0.7  # share of its contribution that a worn limb has lost
 POPULATION = 2 * len(TUNED)
 _SPREAD, _FARTHEST = 0.4, 1.6  # of the weights' logarithms: in the first population, and at most
 
 
 @dataclass(frozen=True)
-class Swum:
-    """Runs along one path: mean distance at decisions m, progress m/s, share that came to the end."""
+class PathRuns:
+    """Runs along one path: mean distance at decisions (m), progress (m/s), share that was completed."""
 
     distance_m: float
     progress_mps: float
@@ -108,15 +110,15 @@ def swim(
     config: PlanConfig,
     runs: int,
     seed: int,
-    astray: tuple[float, float] = (0.0, 0.0),
+    offset: tuple[float, float] = (0.0, 0.0),
     last: int = DECISIONS_MOST,
-) -> Swum:
-    """Swim a path several times, moved by the table and a little noise.
+) -> PathRuns:
+    """Simulate runs along a path, moved by the table and a little noise.
 
     Args:
-        planner: in C, which answers with the twin's bits, and sooner.
-        astray: where they begin, as in ``ASTRAY``.
-        last: only so many of each run's last decisions count for its distance.
+        planner: the planner in C, which has the twin's bits and is faster.
+        offset: initial pose, as in ``OFFSETS``.
+        last: number of each run's last decisions whose distance counts.
     """
     rng, period_s = np.random.default_rng(seed), tables.period_us * 1e-6
     stroke_m, points = float(tables.stroke_max_m), len(path.x_m)
@@ -124,10 +126,10 @@ def swim(
     noise = np.array([NOISE * stroke_m, NOISE * stroke_m, NOISE, speed, speed, NOISE])
     state = np.zeros((runs, 6))
     x_m, y_m, heading_rad = start_pose(path)
-    left_m = astray[0] * stroke_m
+    left_m = offset[0] * stroke_m
     state[:, 0] = x_m - math.sin(heading_rad) * left_m
     state[:, 1] = y_m + math.cos(heading_rad) * left_m
-    state[:, 2] = heading_rad + astray[1]
+    state[:, 2] = heading_rad + offset[1]
     use, along, lost = np.zeros((runs, LIMBS_MAX)), np.zeros(runs), np.zeros(LIMBS_MAX, dtype=np.int64)
     lost[: len(tables.lost)] = tables.lost
     decisions, live = np.full(runs, DECISIONS_MOST), np.arange(runs)
@@ -149,22 +151,22 @@ def swim(
     arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
     way_m = np.interp(along, np.arange(points), arc_m)
     counts = np.arange(DECISIONS_MOST)[:, None] >= decisions - last
-    return Swum(
+    return PathRuns(
         float(np.nanmean(distances[counts])),
         float(np.mean(way_m / (period_s * np.maximum(decisions, 1)))),
         float(np.mean(decisions < DECISIONS_MOST)),
     )
 
 
-def score(swum: Sequence[Swum], before: Sequence[Swum]) -> float:
-    """Return how much worse runs are than those before: 0 where alike, below 0 where they are nearer.
+def score(tested: Sequence[PathRuns], before: Sequence[PathRuns]) -> float:
+    """Return how much worse runs are than those before: 0 if equal, negative if closer to their paths.
 
-    Distances count by their ratio, half by that of their mean and half path by path. Lost progress on the
-    paths that were swum to their end before, and runs that no longer come to the end, count more than any
-    distance gains; gained progress counts nothing.
+    Distances count by their ratio, half by that of their mean and half path by path. A loss of progress on
+    paths that were completed before, and runs that are no longer completed, count more than any smaller
+    distance. A gain of progress does not count.
     """
     distance, progress, completed = (
-        np.array([[getattr(run, name) for run in runs] for runs in (swum, before)])
+        np.array([[getattr(run, name) for run in runs] for runs in (tested, before)])
         for name in ("distance_m", "progress_mps", "completed")
     )
     near = np.maximum(distance, 1e-6)
@@ -177,14 +179,14 @@ def score(swum: Sequence[Swum], before: Sequence[Swum]) -> float:
     return float(ratio + _LOST_PROGRESS * max(0.0, lost.mean()) + _UNFINISHED * unfinished)
 
 
-def strayed(swum: Sequence[Swum], before: Sequence[Swum], near_m: float) -> float:
-    """Return how much farther the worst run from astray ends than before: 0 where it is near, or none does.
+def off_path_loss(tested: Sequence[PathRuns], before: Sequence[PathRuns], near_m: float) -> float:
+    """Return the increase of the final distance of the worst run that began off its path; 0 if it reached it.
 
     Args:
-        near_m: a distance at which a run has found its path.
+        near_m: distance at which a run has reached its path.
     """
-    far, then = (np.array([max(run.distance_m, near_m) for run in runs]) for runs in (swum, before))
-    unfinished = max(0.0, max(b.completed - a.completed for a, b in zip(swum, before, strict=True)))
+    far, then = (np.array([max(run.distance_m, near_m) for run in runs]) for runs in (tested, before))
+    unfinished = max(0.0, max(b.completed - a.completed for a, b in zip(tested, before, strict=True)))
     return float(max(0.0, np.log(far / then).max()) + _UNFINISHED * unfinished)
 
 
@@ -198,7 +200,7 @@ def tune(
     """Return the configuration that scores best in a number of trials; the given one is the first.
 
     Args:
-        judge: what a configuration scores, the less the better.
+        judge: returns the score of a configuration; a lower one is better.
         trials: in whole populations of ``POPULATION``, at least one.
     """
     scored: list[tuple[float, PlanConfig]] = []
@@ -227,7 +229,7 @@ def tune(
 
 
 @dataclass(frozen=True)
-class WeightsTuned(Found):
+class WeightsTuned(StudyResult):
     """Weights, and runs along paths that they were not tuned on.
 
     Attributes:
@@ -236,14 +238,16 @@ class WeightsTuned(Found):
     """
 
     weights: dict[str, float]
-    before: dict[str, Swum]
-    after: dict[str, Swum]
+    before: dict[str, PathRuns]
+    after: dict[str, PathRuns]
 
     def as_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
 
     def text(self, values: dict[str, Any]) -> str:
-        lines = ["Paths that nothing was tuned on, by the table: distance, progress before and after."]
+        lines = [
+            "Paths that were not tuned on, in the table's model: distance and progress, before and after."
+        ]
         for path, before in values["before"].items():
             after = values["after"][path]
             lines.append(
@@ -275,21 +279,21 @@ def run(config: Weights) -> WeightsTuned:
         for limb in range(tables.limbs if tables.limb_wear.size else 0)
     ]
 
-    def runs(paths: dict[str, Path], weights: PlanConfig, of: Tables = tables) -> dict[str, Swum]:
+    def runs(paths: dict[str, Path], weights: PlanConfig, of: Tables = tables) -> dict[str, PathRuns]:
         return {
             name: swim(library, of, path, weights, config.runs, config.seed) for name, path in paths.items()
         }
 
     straight = from_waypoints(np.array([[0.0, 0.0], [STRAIGHT_STROKES * stroke_m, 0.0]]), smooth=False)
 
-    def trial(weights: PlanConfig) -> tuple[list[Swum], list[Swum], list[Swum]]:
-        """Runs of the healthy robot, of one after the other limb worn, as it has learned, and from astray."""
+    def trial(weights: PlanConfig) -> tuple[list[PathRuns], list[PathRuns], list[PathRuns]]:
+        """Runs of the healthy robot, with each limb worn and its wear known, and from poses off the path."""
         return (
             list(runs(training, weights).values()),
-            [swum for limb in worn for swum in runs(curved, weights, limb).values()],
+            [run for limb in worn for run in runs(curved, weights, limb).values()],
             [
-                swim(library, tables, straight, weights, 2 * config.runs, config.seed, astray, LAST)
-                for astray in ASTRAY
+                swim(library, tables, straight, weights, 2 * config.runs, config.seed, offset, LAST)
+                for offset in OFFSETS
             ],
         )
 
@@ -303,8 +307,8 @@ def run(config: Weights) -> WeightsTuned:
         start = dataclasses.replace(start, course_weight_per_m=2.0 / stroke_m)
 
     def judge(weights: PlanConfig) -> float:
-        healthy, limbs, astray = trial(weights)
-        whole = score(healthy, before[0]) + strayed(astray, before[2], _FOUND * stroke_m)
+        healthy, limbs, off_path = trial(weights)
+        whole = score(healthy, before[0]) + off_path_loss(off_path, before[2], _REACHED * stroke_m)
         return whole + _SHARE * score(limbs, before[1]) if limbs else whole
 
     with shown(True, "weights tried") as tell:

@@ -2,7 +2,7 @@
 
 from frogkick.core.extras import require
 
-# Whatever is imported of this folder comes by here: what it lacks is one line, not a traceback.
+# Every import of this package runs this line, so a missing package gives one line and no traceback.
 require("the virtual chip", "unicorn", "capstone", "elftools", "ziglang")
 
 from frogkick.pool.chip.bus import ChipError  # noqa: E402

@@ -17,9 +17,9 @@ FLASH_BYTES: Final = 512 * 1024
 
 
 class ChipError(FrogkickError):
-    """The firmware did what the chip cannot do, or what this model of it does not know.
+    """The firmware did something that the chip cannot do, or that this model does not cover.
 
-    The text names what was done, the register or address, and the program counter.
+    The text names the operation, the register or address, and the program counter.
     """
 
 

@@ -1,6 +1,7 @@
 """The virtual chip: unicorn for the instructions, this package for time and peripherals.
 
-What cannot be done, or is not modelled, is a ``ChipError``; no firmware for the chip is an ``InputError``.
+An operation that is impossible or not modelled raises a ``ChipError``, a file that is no firmware for the
+chip an ``InputError``.
 """
 
 from __future__ import annotations

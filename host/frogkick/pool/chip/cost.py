@@ -223,7 +223,7 @@ class CostTable:
     def __init__(self, flash: bytes) -> None:
         self._flash = flash
         self.entries = (ctypes.c_uint32 * (FLASH_BYTES // 2))()
-        self._last: dict[int, Decoded] = {}  # address -> what ends there, where a run was cut off
+        self._last: dict[int, Decoded] = {}  # address -> the last instruction of a run that was cut off there
 
     def decode_from(self, address: int) -> None:
         """Fill entries from here to the next branch, or to one that is known.
@@ -243,7 +243,7 @@ class CostTable:
                 flags |= int(Flag.IN_IT)
                 in_it -= 1
             elif self.entries[place]:
-                # Known from elsewhere, where what stands before it was not.
+                # Known from another run, in which the instruction before it was not known.
                 self.entries[place] = self.entries[place] & 0xFFFF | behind << 16
                 return
             if instruction.guarded:

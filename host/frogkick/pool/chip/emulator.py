@@ -1,6 +1,6 @@
 """The emulated core: unicorn with the memory of the chip, and the C callbacks that count cycles (hook.c).
 
-hook.c is compiled once by the zig wheel and kept in the user's cache folder. What cannot be done is a
+hook.c is compiled once by the zig wheel and kept in the user's cache folder. What cannot be done raises a
 ``ChipError``.
 """
 

@@ -1,6 +1,6 @@
-"""Flash as NVMC erases and writes it: what the product specification allows, what it takes, what it wears.
+"""Flash as NVMC erases and writes it, with its times and its wear.
 
-What the product specification does not allow is a ``ChipError``.
+An operation that the product specification does not allow raises a ``ChipError``.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ PAGE_BYTES: Final = 4096
 READ_ONLY, WRITE, ERASE = 0, 1, 2
 """CONFIG.WEN."""
 WRITE_CYCLES: Final = 338 * CYCLES_PER_US
-"""One word; upper end of the product specification (t_WRITE). A core that runs from flash waits meanwhile."""
+"""Time to write one word; upper end of the product specification (t_WRITE).
+
+A core that runs from flash waits meanwhile.
+"""
 ERASE_CYCLES: Final = 89_700 * CYCLES_PER_US
-"""One page, likewise (t_ERASEPAGE)."""
+"""Time to erase one page, upper end as well (t_ERASEPAGE)."""
 BLOCK_BYTES: Final = 512
 BLOCK_WRITES_MAX: Final = 181
 """Writes to a block between two erases of its page (n_WRITE)."""
@@ -35,7 +38,7 @@ class Flash:
         self.erases: Counter[int] = Counter()  # of each page since power-on, by its number
 
     def attach(self, uc: Any, state: HookState, on_error: Callable[[ChipError], None]) -> None:
-        """Take the core's memory and time; ``on_error`` hears of writes that the flash does not take."""
+        """Use the core's memory and time; ``on_error`` is called for writes that the flash refuses."""
         self._uc = uc
         self._state = state
 
@@ -93,7 +96,7 @@ class Flash:
         return int.from_bytes(self._uc.mem_read(address, 4), "little")
 
     def content(self) -> bytes:
-        """All of it, as it outlives a loss of power."""
+        """The whole content, which survives a loss of power."""
         return bytes(self._uc.mem_read(0, FLASH_BYTES))
 
 

@@ -1,6 +1,6 @@
 """The firmware's ELF: flash content, symbols, and its structures as numpy types.
 
-What is no firmware for this chip is an ``InputError``, a type that it does not have a ``ChipError``.
+A file that is no firmware for this chip raises an ``InputError``, an unknown type a ``ChipError``.
 """
 
 from __future__ import annotations

@@ -25,10 +25,11 @@ _DERCEN: Final = 1
 
 
 class Power(Peripheral):
-    """Why the chip started, and the comparator that warns of a falling supply.
+    """The reset reasons, and the comparator that warns of a falling supply.
 
-    Reasons add up over all resets but power-on; writing a one takes one back. The comparator warns when the
-    supply falls below its threshold, or is below when it is switched on; of one that rises it says nothing.
+    Reasons accumulate over all resets except power-on; writing a one clears one. The comparator warns when
+    the supply falls below its threshold, or is below it when the comparator is switched on. A rising supply
+    gives no event.
     """
 
     name, base = "POWER", 0x4000_0000
@@ -91,7 +92,7 @@ class Watchdog(Peripheral):
         *array("w", "RR[{}]", 0x600, 8),
     ]
     RESET_VALUES = {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
-    # Paused in sleep it would not see a robot that never wakes.
+    # If it were paused in sleep, it would not reset a robot that never wakes.
     KNOWN = {"CRV": range(_CRV_MIN, 1 << 32), "RREN": (1,), "CONFIG": (_CONFIG_SLEEP_RUN,)}
 
     def __init__(self, system: System, on_timeout: Callable[[], None]) -> None:
@@ -103,7 +104,7 @@ class Watchdog(Peripheral):
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Meanwhile it stands still, as under a debugger: who calls from outside does not feed it."""
+        """Meanwhile it is paused, as under a debugger, because a caller from outside does not feed it."""
         left = self._due - self.system.now_cycle
         self.system.scheduler.at(self._timeout, NEVER)
         try:
@@ -139,7 +140,7 @@ class Watchdog(Peripheral):
 
 
 class Clock(Peripheral):
-    """The 32 MHz crystal: its start, its end, and who counts by it."""
+    """The 32 MHz crystal: its start, its end, and the timers that count by it."""
 
     name, base = "CLOCK", 0x4000_0000
     REGISTERS = [
@@ -176,7 +177,7 @@ class Clock(Peripheral):
 
 
 class Ficr(Peripheral):
-    """What the factory has written: two words without a name, which start-up code copies after a reset.
+    """The factory's data: two unnamed words, which the start-up code copies after a reset.
 
     They are arbitrary here, and include bits that the start-up code must not copy.
     """

@@ -13,7 +13,7 @@ _BASE_CYCLES: Final = 4  # the timer's 16 MHz clock in cycles of 64 MHz
 _MODE_TIMER: Final = 0
 _MODES_COUNTER: Final = (1, 2)
 HFINT_PERCENT: Final = 108
-"""A time by the internal oscillator, of what it is by the crystal, at worst (specification: f_TOL_HFINT)."""
+"""Largest ratio of a time by the internal oscillator to that by the crystal (specification: f_TOL_HFINT)."""
 
 
 class Timer(Peripheral):
@@ -42,7 +42,7 @@ class Timer(Peripheral):
         super().__init__(system)
         self._running = False
         self.draws = False  # current, from START until SHUTDOWN, though it was stopped (erratum 78)
-        self._count = 0  # counter's value at _since, or now where it does not run by itself
+        self._count = 0  # counter's value at _since, or the present value if it does not run by itself
         self._since = 0
         self._percent = HFINT_PERCENT  # time of a tick, of what it is by the crystal
         self._sources = [system.scheduler.add(partial(self._compare, i)) for i in range(CHANNELS)]
@@ -65,7 +65,7 @@ class Timer(Peripheral):
         return self._since - self._count * self._tick_centicycles // 100
 
     def count_by(self, percent: int) -> None:
-        """From now on a tick takes so much of its time by the crystal; the one under way begins anew."""
+        """From now on a tick takes this percentage of its time by the crystal; the current tick restarts."""
         count = self._counter()
         self._percent = percent
         self._set(count, self._running)

@@ -121,7 +121,7 @@ def _evidence(
     if firing == 0:
         change = np.concatenate([[0], change])
     latest = time_s[change]
-    # A stamp of the backlog is no lower bound.
+    # A time stamp of the backlog is no lower bound.
     before = np.maximum(change - 1, 0)
     earliest = np.where(trusted[before] & (change > 0), time_s[before], -np.inf)
     if np.isneginf(earliest).all():

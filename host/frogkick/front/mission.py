@@ -1,6 +1,6 @@
-"""What a run may do besides following a path: others take over, it holds at the end, it keeps from walls.
+"""The mission of a run beyond one path: later paths, holding at the end, and walls.
 
-What does not fit the run, the robot or the walls raises an ``InputError``.
+Arguments that do not fit the run, the robot or the walls raise an ``InputError``.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ TURN_MIN_RAD = 0.01
 WALL_WEIGHT_PER_M = 50_000.0
 """Cost of each m beyond a wall: some 50 times that of a m beside the path of the built-in robot."""
 WALL_GLIDE = 2.0
-"""How many times as far as in its last stroke a robot is taken to glide on towards a wall.
+"""A robot is assumed to glide on towards a wall by this many times the distance of its last stroke.
 
 It glides further until it rests, but it has to turn away before that.
 """
 MARGIN_M = 0.005
-"""Further away from a wall than the robot reaches: what the soft cost and the fixes leave open."""
+"""Additional distance of the robot's reach from a wall, for the soft cost and the noise of the fixes."""
 
 
 def next_paths(then: Then | Sequence[Then], time_limit_s: float) -> tuple[NextPath, ...]:
-    """Return the paths that take over during a run, one or several, in the order of their times."""
+    """Return the paths that take over during a run, one or several given, in the order of their times."""
     is_many = isinstance(then, tuple) and all(isinstance(one, tuple) or "@" in str(one) for one in then)
     asked = [then] if isinstance(then, str | tuple) and not is_many else list(then)
     found: list[NextPath] = []
@@ -111,8 +111,8 @@ def then_json(run: RunLog) -> list[dict[str, Any]]:
     ]
 
 
-def not_reached(planned: int, run: RunLog) -> str:
-    """A sentence on paths that a run ended before; "" where there are none."""
+def missed_paths_report(planned: int, run: RunLog) -> str:
+    """A sentence on later paths that the run ended too early for; "" if there are none."""
     made = len(then_json(run))
     if planned <= made:
         return ""
@@ -121,9 +121,9 @@ def not_reached(planned: int, run: RunLog) -> str:
 
 
 def turn_radius_m(tables: Tables, robot_id: str) -> float:
-    """Radius of the tightest turn that a robot can do to both sides, m, by its table's own word.
+    """Radius of the tightest turn that a robot can make to both sides by its table, m.
 
-    It is the circle of one action that is done again and again.
+    It is the circle of one action that is repeated.
     """
     arrays = arrays_of(tables)
     turns = [_turning(arrays, action) for action in range(len(tables.actions))]
@@ -140,7 +140,7 @@ def turn_radius_m(tables: Tables, robot_id: str) -> float:
 
 
 def _turning(arrays: TableArrays, action: int) -> tuple[float, float]:
-    """How far an action moves (m) and turns (rad) the robot in a period, when it has been repeated long."""
+    """How far an action that is repeated moves (m) and turns (rad) the robot in a period, in steady state."""
     dynamics, after = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(DYNAMICS, dtype=np.int64)
     motion = np.zeros(3, dtype=np.float32)
     for _ in range(PERIODS):
@@ -152,12 +152,12 @@ def _turning(arrays: TableArrays, action: int) -> tuple[float, float]:
 
 
 def hold_radius_m(tables: Tables, robot_id: str) -> float:
-    """Radius of the circle about a path's end, m: three quarters of the limit, more if the robot needs it."""
+    """Radius of the circle around a path's end, m: 3/4 of the limit, or more if the robot needs it."""
     return max(HOLD_RADIUS_M, ROOM * turn_radius_m(tables, robot_id))
 
 
 def require_room(path: SwimPath, radius_m: float, config: PlanConfig) -> None:
-    """Raise InputError where walls leave no room for the way onto the circle."""
+    """Raise InputError if walls leave no room for the approach to the circle."""
     if not config.wall_weight_per_m:
         return
     entry = hold_at_end(path, radius_m).entry.points_m
@@ -173,11 +173,11 @@ def require_room(path: SwimPath, radius_m: float, config: PlanConfig) -> None:
 
 
 def hold_json(run: RunLog) -> dict[str, float] | None:
-    """How near to the ends of its paths a run held, by true poses or fixes; None: it never came to hold.
+    """How close to the ends of its paths a run held, by true poses or fixes; None: it never reached a circle.
 
-    Returns:
-        ``from_s``, when it came to the first circle, since the first decision; ``worst_m`` and ``mean_m``,
-        the distance from the end from then on; ``within_m``, the radius of the circle; ``limit_m``.
+    Returns: ``from_s``, when it reached the first circle, since the first decision; ``worst_m`` and
+        ``mean_m``, the distance from the end from then on; ``within_m``, the radius of the circle;
+        ``limit_m``.
     """
     spans = spans_of(run)
     if not spans:
@@ -203,10 +203,10 @@ def hold_json(run: RunLog) -> dict[str, float] | None:
     }
 
 
-def held(found: dict[str, Any] | None, asked: bool) -> str:
-    """A sentence on how near to the end a run held; "" where nobody asked it to."""
+def hold_report(found: dict[str, Any] | None, asked: bool) -> str:
+    """A sentence on how close to the end a run held; "" without --hold."""
     if found is None:
-        missed = "the robot did not come to the circle on which it holds: give a longer --simulated-time"
+        missed = "the robot did not reach the circle on which it holds: give a longer --simulated-time"
         return missed if asked else ""
     worst, limit = 1e3 * found["worst_m"], 1e3 * found["limit_m"]
     said = (
@@ -223,7 +223,7 @@ def held(found: dict[str, Any] | None, asked: bool) -> str:
     return f"{said}, which is more than {limit:.0f} mm: {why}"
 
 
-def walled(
+def with_walls(
     config: PlanConfig, inside: str | Sequence[float] | None, table: Table, fixes: str | None = None
 ) -> PlanConfig:
     """Return a planner's configuration that keeps the robot between walls.
@@ -234,7 +234,9 @@ def walled(
     if inside is None:
         return config
     if config.cost != Cost.ROUTE:
-        raise InputError("walls are kept with the cost 'route' alone: leave out --inside or --planner paper")
+        raise InputError(
+            "only the cost 'route' keeps the robot off walls: leave out --inside or --planner paper"
+        )
     x_0, y_0, x_1, y_1 = _rectangle(inside, fixes)
     reach_m = table.robot.reach_m
     away_m = reach_m + MARGIN_M
@@ -247,7 +249,7 @@ def walled(
         config,
         wall_weight_per_m=WALL_WEIGHT_PER_M,
         wall_glide=WALL_GLIDE,
-        course_weight_per_m=0.0,  # with it one of 200 runs swung out over a wall after a bend
+        course_weight_per_m=0.0,  # with the course, one of 200 runs swung out over a wall after a bend
         wall_x_min_m=x_0 + away_m,
         wall_x_max_m=x_1 - away_m,
         wall_y_min_m=y_0 + away_m,
@@ -275,9 +277,9 @@ def _rectangle(inside: str | Sequence[float], fixes: str | None) -> tuple[float,
 
 
 def clearance_m(run: RunLog) -> float | None:
-    """Least distance between the robot's reach and a wall, by true poses or fixes; below 0 beyond it.
+    """Smallest distance of the robot's reach from a wall, by true poses or fixes; negative beyond it.
 
-    None of a run without walls, or without decisions.
+    None for a run without walls, or without decisions.
     """
     known = run.planner
     if not known.get("wall_weight_per_m") or not len(run.decisions):

@@ -1,4 +1,4 @@
-"""Judges a verdict of identification by the effects that were planted in the world."""
+"""Scores a verdict of identification against the synthetic effects of the world."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from frogkick.effects import Parameter
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.terms import Interval
 from frogkick.identification.verdict import FAR, FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED
-from frogkick_studies.planted import LAWS, NULL, OUTSIDE, Kind
-from frogkick_studies.planted_laws import Table, rights
+from frogkick_studies.synthetic_effects import LAWS, NULL, OUTSIDE, Kind
+from frogkick_studies.synthetic_laws import Table, rights
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a case.
+    """The score of a case.
 
     Attributes:
-        verdict: as given.
-        right: as asked for this group.
-        wrong: "found" although what was planted is not what was named; where nothing was planted, "partly
-            explained" as well.
-        planted, found: in words.
+        verdict: that of the identification.
+        right: the verdict meets the requirement of its group.
+        wrong: the verdict is "found", but the named effects are not the true ones; without a true effect,
+            "partly explained" counts as wrong as well.
+        planted, found: true and identified effects, in words.
         before, after, floor: position (m) and heading (rad) on the test run.
-        cpu_s: of identification.
-        inside, parameters: planted parameters of effects that were named: inside their intervals, and all.
-        gone: share of the way from the error before to the floor that is gone, in position on the test run;
-            None if there is no way.
-        draws: how often parameters were drawn until the error before was as wanted.
+        cpu_s: processor time of the identification.
+        inside, parameters: number of true parameters of named effects inside their intervals, and of all.
+        gone: share of the position error above the noise floor that is removed on the test run; None if the
+            error before is not above the floor.
+        draws: how often parameters were drawn until the error before was in the required range.
     """
 
     verdict: str
@@ -54,9 +54,9 @@ class Result:
         return {"noise_floor": values.pop("floor"), **values, "cpu_s": round(self.cpu_s, 1)}
 
 
-def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float) -> Result:
-    """Compare an outcome with the planted effects."""
-    named = [recovered(table, outcome) for table in planted]
+def score_case(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float) -> Result:
+    """Compare an outcome with the true effects."""
+    named = [is_identified(table, outcome) for table in planted]
     held = [
         p.contains(float(table[p.name]))
         for table in planted
@@ -71,14 +71,14 @@ def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float)
         right = outcome.verdict == NOTHING
         wrong = found or outcome.verdict == PARTLY
     elif kind.group == OUTSIDE:
-        # What helps and leaves more than noise may be said of an effect that nobody knows.
+        # For an effect outside the catalogue, "partly explained" is right.
         wrong = found and not (equivalent or lawful)
         right = not wrong and (found or outcome.verdict in (UNEXPLAINED, PARTLY))
     elif kind.group == LAWS:
         tested = outcome.tested
         lower = tested.after.position_rmse_m < tested.before.position_rmse_m
         if any(each.chance for each in rights(planted)):
-            # Nobody can predict what chance does: only what it makes of the density.
+            # Random failures cannot be predicted; only their density can.
             lower |= tested.gain is not None and tested.gain.low > 0.0
         wrong = found and not (lawful and lower)
         right = not wrong and lawful
@@ -117,7 +117,7 @@ def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float)
 
 
 def _lawful(planted: Sequence[Table], outcome: Outcome) -> bool:
-    """Whether what was found are the laws that are right for what was planted, all of them and no other."""
+    """Whether the identified laws are exactly those that are right for the true effects."""
     right = rights(planted)
     return (
         bool(right)
@@ -133,10 +133,11 @@ def _words(table: Table) -> str:
     return f"{table.get('name') or table.get('class')}: {values}"
 
 
-def recovered(table: Table, outcome: Outcome) -> bool:
-    """An effect is among those found, and none of its parameters is FAR from what was planted.
+def is_identified(table: Table, outcome: Outcome) -> bool:
+    """Whether a true effect is among the identified ones, with no parameter FAR from its true value.
 
-    How many are inside their intervals is counted beside it: one of 95 % misses one value of twenty.
+    The number of parameters inside their intervals is counted separately: a 95 % interval misses one value in
+    twenty.
     """
     row = _named(table, outcome)
     return bool(row) and all(
@@ -145,7 +146,7 @@ def recovered(table: Table, outcome: Outcome) -> bool:
 
 
 def _named(table: Table, outcome: Outcome) -> list[tuple[Parameter, Interval]]:
-    """The parameters of the effect that was found for this one, and their values; none where it was not."""
+    """The parameters identified for a true effect, and their values; none if it was not identified."""
     for term, row in zip(outcome.terms, outcome.parameters, strict=True):
         options = dict(term.table)
         same = all(options[key] == table[key] for key in options if key in table)

@@ -1,4 +1,4 @@
-"""Worlds with planted effects: none, one of the catalogue, two, one from outside the catalogue, or laws."""
+"""Worlds with synthetic effects: none, one of the catalogue, two, one from outside the catalogue, or laws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from frogkick_studies.planted_laws import (
+from frogkick_studies.synthetic_laws import (
     DRAWN,
     Draw,
     Random,
@@ -94,13 +94,13 @@ class SlowLens:
 
 @dataclass(frozen=True)
 class Kind:
-    """A way to plant something.
+    """A kind of synthetic world.
 
     Attributes:
         name: for reports.
         group: NULL, ONE, TWO, OUTSIDE or LAWS.
         draw: tables of a world, from a random generator.
-        alike: titles of effects that are the same thing under another name.
+        alike: titles of effects that are equivalent to it.
     """
 
     name: str
@@ -121,7 +121,7 @@ def _current(rng: Random) -> Table:
 
 
 def _wall(rng: Random) -> Table:
-    """Where the paper's paths come near: beside the ellipse, or before the end of the line."""
+    """A wall close to the paper's paths: beside the ellipse, or before the end of the line."""
     side = str(rng.choice(["x_high", "y_low", "y_high"]))
     at_m = between(0.42, 0.47) if side == "x_high" else between(0.13, 0.16)
     drag, hardness = between(0.5, 1.5), between(0.5, 0.7)
@@ -155,11 +155,11 @@ ONES: Mapping[str, Draw] = {
     "group loss": effect("group_loss", loss=between(0.3, 0.6), fade_s=between(0.1, 0.3)),
 }  # fmt: skip
 SAME: Mapping[str, tuple[str, ...]] = {
-    # Where rear limbs never fire without front ones, what these take from them is always the same share.
+    # If rear limbs never fire without front ones, their loss through these is a constant share.
     "group loss": ("group_gain", "group_loss"),
     "whirl": ("shear_current", "vortex"),
 }
-"""Kinds that are another effect as well for a robot with the paper's nine actions."""
+"""Kinds that are equivalent to another effect for a robot with the paper's nine actions."""
 
 PAIRS = (
     ("wear", "current"),
@@ -187,7 +187,7 @@ OUTSIDES: Mapping[str, Draw] = {
 
 
 def kinds() -> dict[str, Kind]:
-    """All ways to plant something, by name."""
+    """All kinds of synthetic worlds, by name."""
     planted: dict[str, dict[str, Sequence[Draw]]] = {
         NULL: {"null": ()},
         ONE: {name: (draw,) for name, draw in ONES.items()},

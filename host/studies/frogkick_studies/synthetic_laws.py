@@ -1,7 +1,8 @@
-"""Effects of the group *laws*, which no catalogue has, and which law is right for each.
+"""Effects of the group *laws*, which the catalogue does not contain, and the right law for each.
 
-They are classes of a user's file in plain Python, written without the language of laws, so that the count
-does not favour its forms: a patch of weeds has another edge than the grammar's, a spring may be a cable.
+They are classes in a user's file, in plain Python and not in the language of laws, so that the count does not
+favour the forms of that language: a patch of weeds has another edge than the patch of a law, and a spring may
+be a cable.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def any_limb(rng: Random) -> str:
 
 
 def between(low: float, high: float) -> Callable[[Random], float]:
-    """Uniform, rounded as it is told."""
+    """Uniform, rounded to the digits that a table shows."""
     return lambda rng: float(np.round(rng.uniform(low, high), 5))
 
 
@@ -50,11 +51,11 @@ def signed(low: float, high: float) -> Callable[[Random], float]:
 
 
 def spread(low: float, high: float) -> Callable[[Random], float]:
-    """As likely in each factor of two: for strengths."""
+    """Log-uniform, for strengths."""
     return lambda rng: float(f"{np.exp(rng.uniform(np.log(low), np.log(high))):.4g}")
 
 
-LAWS_FILE = "planted_laws.py"
+LAWS_FILE = "synthetic_laws.py"
 LAWS_TEXT = '''"""Effects that neither the catalogue nor anybody's helper has."""
 
 import math
@@ -231,32 +232,30 @@ PAIRS = (
 where both fire at once, is the one that is weaker."""
 
 
-def _planted(kind: str, **values: Any) -> Draw:
+def _made(kind: str, **values: Any) -> Draw:
     return effect(kind, LAWS_FILE, **values)
 
 
 def _cable(rng: Random) -> Table:
-    """A cable, or as often a spring, which is taut everywhere."""
+    """A cable or, with the same probability, a spring, which is taut everywhere."""
     at = {"x": between(-0.1, 0.5)(rng), "y": between(-0.3, 0.3)(rng)}
     length = between(0.1, 0.25)(rng) if rng.random() < 0.5 else 0.0
-    return _planted("Cable", stiffness=spread(0.003, 0.05), **at, length=length)(rng)
+    return _made("Cable", stiffness=spread(0.003, 0.05), **at, length=length)(rng)
 
 
 def _sloshing(rng: Random) -> Table:
     way, phase = HEADING(rng), HEADING(rng)
-    return _planted("Sloshing", speed=spread(0.003, 0.03), cycle=between(5.0, 10.0), way=way, phase=phase)(
-        rng
-    )
+    return _made("Sloshing", speed=spread(0.003, 0.03), cycle=between(5.0, 10.0), way=way, phase=phase)(rng)
 
 
 def misfire(low: float = 0.1, high: float = 0.4) -> Draw:
     """A limb that does nothing in a share of its strokes, from ``low`` to ``high``."""
-    return _planted("Misfire", limb=any_limb, share=between(low, high))
+    return _made("Misfire", limb=any_limb, share=between(low, high))
 
 
 def _shared_battery(rng: Random) -> Table:
     limb, other = PAIRS[rng.integers(len(PAIRS))]
-    battery = _planted(
+    battery = _made(
         "SharedBattery", limb=limb, other=other, loss=between(0.25, 0.8), within=between(0.3, 0.6)
     )
     return battery(rng)
@@ -265,27 +264,27 @@ def _shared_battery(rng: Random) -> Table:
 def _patch(rng: Random) -> Table:
     """Where the paper's paths lead through."""
     at = {"x": between(0.1, 0.35)(rng), "y": between(-0.08, 0.08)(rng)}
-    return _planted("Patch", drag=spread(0.2, 1.5), **at, radius=between(0.1, 0.2))(rng)
+    return _made("Patch", drag=spread(0.2, 1.5), **at, radius=between(0.1, 0.2))(rng)
 
 
 def _clock(rng: Random) -> Table:
     cycle = between(5.0, 9.0)(rng)
     late, share = between(0.08, 0.25), between(0.3, 0.6)
-    return _planted("LaggingClock", late=late, cycle=cycle, share=share, begin=between(0.0, cycle))(rng)
+    return _made("LaggingClock", late=late, cycle=cycle, share=share, begin=between(0.0, cycle))(rng)
 
 
 def _fan(rng: Random) -> Table:
     force, way = spread(2e-4, 3e-3)(rng), rng.uniform(-math.pi, math.pi)
     x, y = float(np.round(force * np.cos(way), 6)), float(np.round(force * np.sin(way), 6))
-    return _planted("Fan", x=x, y=y, at=between(7.0, 13.0))(rng)
+    return _made("Fan", x=x, y=y, at=between(7.0, 13.0))(rng)
 
 
 def _power(rng: Random) -> float:
     return float(rng.choice([0.5, 1.0, 3.0]))
 
 
-_BREAK = _planted("Break", limb=any_limb, at=between(7.0, 13.0), rest=between(0.0, 0.6))
-_BY_HEADING = _planted("ByHeading", depth=between(0.1, 0.4), towards=HEADING)
+_BREAK = _made("Break", limb=any_limb, at=between(7.0, 13.0), rest=between(0.0, 0.6))
+_BY_HEADING = _made("ByHeading", depth=between(0.1, 0.4), towards=HEADING)
 
 DRAWN: Mapping[str, Sequence[Draw]] = {
     "spring to a point": (_cable,),
@@ -294,17 +293,17 @@ DRAWN: Mapping[str, Sequence[Draw]] = {
     "break": (_BREAK,),
     "spring to a point + break": (_cable, _BREAK),
     "shared battery": (_shared_battery,),
-    "other drag": (_planted("Slime", drag=spread(2e-4, 2e-3), power=_power),),
+    "other drag": (_made("Slime", drag=spread(2e-4, 2e-3), power=_power),),
     "thrust by heading": (_BY_HEADING,),
     "patch of weeds": (_patch,),
     "sloshing + patch of weeds": (_sloshing, _patch),
     "lagging clock": (_clock,),
-    "jumping fixes": (_planted("Jumps", share=between(0.02, 0.1), size=spread(0.003, 0.02)),),
-    "magnet": (_planted("Magnet", torque=spread(1e-5, 1e-4), towards=HEADING),),
+    "jumping fixes": (_made("Jumps", share=between(0.02, 0.1), size=spread(0.003, 0.02)),),
+    "magnet": (_made("Magnet", torque=spread(1e-5, 1e-4), towards=HEADING),),
     "fan from a moment on": (_fan,),
     "spring to a point + thrust by heading": (_cable, _BY_HEADING),
 }
-"""Kind -> what is planted at once. Every fifth is of two effects."""
+"""Kind -> its effects, which act at once. Every fifth kind has two."""
 
 
 def drawn(draws: Sequence[Draw], rng: Random) -> list[Table]:
@@ -313,16 +312,18 @@ def drawn(draws: Sequence[Draw], rng: Random) -> list[Table]:
 
 
 TAUT_LEAST, FIRED_LEAST, EACH_SIDE = 10, 20, 5
-"""What training runs must contain: periods with a cable taut, strokes of a limb that misfires, and strokes
-on each side of a break, or beside another limb's and alone."""
+"""What training runs must contain, at least.
+
+Periods with a cable taut, strokes of a limb that misfires, and strokes before and after a break, or with
+another limb's and alone."""
 
 
 def enough_of(tables: Sequence[Table], swims: Sequence[Segments], limbs: Sequence[str]) -> bool:
-    """Whether runs contain enough of the planted effects to identify them.
+    """Whether runs contain enough of the true effects to identify them.
 
     Args:
-        tables: what is planted.
-        swims: the runs to learn from.
+        tables: the true effects.
+        swims: the training runs.
         limbs: names in the robot's order.
     """
     return all(_enough_of(table, swims, limbs) for table in tables)
@@ -361,12 +362,11 @@ def _fired(swims: Sequence[Segments], limb: int) -> list[list[float]]:
 
 @dataclass(frozen=True)
 class Right:
-    """Which law is right.
+    """The right law for a true effect.
 
     Attributes:
-        titles: of the laws that are the same thing; any of them is right.
-        near: parameter -> value and how far from it the law's may be; parameters that a law lacks do not
-            count.
+        titles: of equivalent laws, each of which is right.
+        near: parameter -> true value and tolerance; parameters that a law lacks do not count.
         chance: ("stroke" | "fix", limb or ""): any law on that whose formula has ``chance`` is right.
     """
 
@@ -375,7 +375,7 @@ class Right:
     chance: tuple[str, str] | None = None
 
     def holds(self, term: Term) -> bool:
-        """Whether an effect that was found is this law."""
+        """Whether an identified effect is this law."""
         keys = dict(term.table)
         values = dict(zip((p.name for p in term.parameters), term.values, strict=True))
         if self.chance is not None:
@@ -389,7 +389,7 @@ class Right:
 
 
 MOMENT_S, PLACE_M, CYCLE = 3.0, 0.12, 0.1
-"""How far off a moment (two periods) and a place may be, and a cycle by its share."""
+"""Tolerances of a moment (two periods), of a position, and of a cycle (relative)."""
 
 
 def _cycle(table: Table) -> dict[str, tuple[float, float]]:
@@ -428,10 +428,10 @@ RIGHT: Mapping[str, Callable[[Table], Right]] = {
     "Waves": lambda table: Right(("sloshing",), {"cycle": (table["period_s"], CYCLE * table["period_s"])}),
     "Whirl": lambda _table: Right(("flow that grows with place",)),
 }
-"""Class of a planted effect -> which law is right; also for those of *outside* that a law can be."""
+"""Class of a true effect -> the right law; also for those of *outside* that a law can describe."""
 
 
 def rights(tables: Sequence[Table]) -> list[Right]:
-    """Which laws are right for what is planted; empty where no law is."""
+    """The right laws for the true effects; empty if no law is."""
     found = [RIGHT[str(table["class"])](table) for table in tables if table.get("class") in RIGHT]
     return found if len(found) == len(tables) else []

@@ -1,8 +1,8 @@
 """Inverse planning: the motions that the paper's planner assumed, from the choices that recorded runs show.
 
-The authors' own library of turning strokes was not published. Their runs show what their planner assumed: at
-each decision pose and path are known, and the action that it found the cheapest. The motions that are sought
-make these choices likely (a softmax over the cost, with a share of random choices).
+The authors' own library of turning strokes was not published. Their runs show what their planner assumed: for
+each decision the pose, the path, and the action that it found the cheapest are known. The estimated motions
+make these choices likely. The likelihood is a softmax over the cost, with a share of random choices.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ DECISIONS_MIN = 60
 """Fewer choices cannot determine some thirty numbers."""
 
 _TRIES = 3000
-_TEMPERATURE = np.float32(3.0)  # of the cost: a few millimetres or degrees that the planner saw otherwise
-_SLIP = 0.1  # part of the choices that are as good as any
-_SIZES = (0.05, 0.2)  # of a try's steps, relative
-_MOVED = 0.3  # part of the numbers that a try moves
+_TEMPERATURE = np.float32(
+    3.0
+)  # scale of the softmax, in cost: a few mm or degrees of error in the planner's pose
+_SLIP = 0.1  # share of random choices
+_SIZES = (0.05, 0.2)  # relative size of a random step of the search
+_MOVED = 0.3  # share of the numbers that a step changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +45,13 @@ class Choices:
 
 
 @dataclass(frozen=True, eq=False)
-class Believed:
+class AssumedMotions:
     """Motions that a planner assumed.
 
     Attributes:
         motion: (a, 3) forward, left (m) and turn (rad), body frame at the action's start, at any velocity.
         agreement: share of the choices that these motions explain.
-        held_out_agreement: the same for each run with the motions found from the others.
+        held_out_agreement: the same for each run, with the motions that were estimated from the others.
         nominal_agreement: the same with the initial motions of the search.
     """
 
@@ -70,7 +72,7 @@ def choices_of(run: RunLog) -> Choices:
     return Choices(path_rows(run.path), poses.astype(np.float32), run.decisions.action[known])
 
 
-def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: Float64) -> Believed:
+def assumed_motions(runs: Sequence[Choices], robot: Robot, nominal: Float64) -> AssumedMotions:
     """Find the motions that make choices of the paper's planner at depth 1 likely.
 
     Mirrored actions of a symmetric robot have mirrored motions.
@@ -82,8 +84,8 @@ def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: Float64) ->
     count = sum(len(run.actions) for run in runs)
     if len(runs) < 2 or count < DECISIONS_MIN:
         raise InputError(
-            f"{len(runs)} runs with {count} decisions do not tell what their planner believed: "
-            f"give 2 or more with {DECISIONS_MIN} or more"
+            f"{len(runs)} runs with {count} decisions do not determine the motions that their planner "
+            f"assumed: give 2 runs or more with {DECISIONS_MIN} decisions or more"
         )
     begin = _mirrored(robot, nominal)
     motion = _search(runs, robot, begin)
@@ -91,7 +93,7 @@ def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: Float64) ->
     for left_out in runs:
         others = _search([run for run in runs if run is not left_out], robot, begin)
         right += _right(left_out, others)
-    return Believed(
+    return AssumedMotions(
         motion,
         sum(_right(run, motion) for run in runs) / count,
         right / count,

@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
+def output_of(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
     assert run_command([*words, "--json"]) == 0
     return dict(json.loads(capsys.readouterr().out))
 
@@ -41,7 +41,7 @@ def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
 @from_ci
 def test_show_says_what_the_run_was(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = folder / "sine.png"
-    found = told(capsys, "log", "show", str(folder / "sine.h5"), "--out", str(picture))
+    found = output_of(capsys, "log", "show", str(folder / "sine.h5"), "--out", str(picture))
     run = swum("sine", 6.0)
     assert found["decisions"] == len(run.decisions) and found["measured_by"] == "truth"
     assert found["mean_distance_m"] == pytest.approx(run.measured["mean_distance_m"], rel=0.2)
@@ -56,7 +56,7 @@ def test_show_takes_a_recorded_run(
 ) -> None:
     picture = tmp_path / "line1.png"
     source = frog2022_dir / "control" / "line1.csv"
-    found = told(capsys, "log", "show", str(source), "--out", str(picture))
+    found = output_of(capsys, "log", "show", str(source), "--out", str(picture))
     assert (found["measured_by"], found["position_rmse_m"], found["decisions"]) == ("fixes", None, 12)
     assert 0.005 < float(str(found["mean_distance_m"])) < 0.05
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -65,7 +65,7 @@ def test_show_takes_a_recorded_run(
 def test_two_runs_of_one_seed_are_the_same_as_long_as_both_last(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = told(capsys, "log", "compare", str(folder / "sine.h5"), str(folder / "longer.h5"))
+    found = output_of(capsys, "log", "compare", str(folder / "sine.h5"), str(folder / "longer.h5"))
     assert found["a"]["made"] == {}, "nobody said how it came about"
     assert found["same_robot"] and found["same_table"] and found["same_path"]
     assert found["same_decisions"] == len(swum("sine", 6.0).decisions)
@@ -77,7 +77,7 @@ def test_two_runs_of_one_seed_are_the_same_as_long_as_both_last(
 def test_runs_on_two_paths_are_told_apart(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = folder / "both.png"
     words = [str(folder / name) for name in ("sine.h5", "line.h5")]
-    found = told(capsys, "log", "compare", *words, "--out", str(picture))
+    found = output_of(capsys, "log", "compare", *words, "--out", str(picture))
     assert found["same_path"] is False and found["apart_m"] is None
     assert picture.read_bytes().startswith(b"\x89PNG")
     figure = compare_figure((swum("sine", 6.0), swum("line", 6.0)), ("one", "two"))

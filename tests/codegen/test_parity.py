@@ -206,7 +206,7 @@ def planned(number: int) -> tuple[Cases, Tables, PlanConfig, Any]:
     return cases, tables, config, python_place(tables, PATH, config)(*given)
 
 
-def told(mutant: NativeLibrary, number: int) -> PairReport:
+def report_on(mutant: NativeLibrary, number: int) -> PairReport:
     cases, tables, config, rows = planned(number)
     places = {"python": lambda *_: rows, "native": native_place(mutant, tables, PATH, config)}
     (pair,) = compare(cases, places)
@@ -221,7 +221,9 @@ def test_a_changed_rule_in_the_c_is_found(name: str) -> None:
     assert source.count(before) == 1, "the rule moved: correct the mutation"
     files[file] = source.replace(before, after).encode()
     mutant = NativeLibrary(files, flags=("-std=c99", "-O1", "-ffp-contract=off", "-fno-math-errno"))
-    found = next((pair for number in range(len(TELLING)) if (pair := told(mutant, number)).mismatches), None)
+    found = next(
+        (pair for number in range(len(TELLING)) if (pair := report_on(mutant, number)).mismatches), None
+    )
     assert found is not None, "no case tells it from the twin"
     assert f"seed {SEED}, case " in found.first_failure
     assert "state [" in found.first_failure

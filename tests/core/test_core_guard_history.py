@@ -10,7 +10,7 @@ from tests.conftest import some
 from tests.core.core import FFI, LATE_US, Robot, cases, core, kept_of
 from tests.core.log_rig import Log
 from tests.core.test_core_guard import PULSE_MAX_US, REST_US, WINDOW_US, Guard
-from tests.core.test_core_supervisor import LATE, told
+from tests.core.test_core_supervisor import LATE, state_and_fault
 
 from frogkick.link.layout import link_layout
 from frogkick.pool.native_robot import COLD_LIMBS
@@ -132,7 +132,7 @@ def test_a_damaged_history_of_the_guard(between: str) -> None:
         for _ in range(3):
             robot.stroke("A")
             assert robot.run_until(robot.now_us + 1_000_000) == [], bit
-        assert told(robot) == ("FAULT", "GUARD", 0)
+        assert state_and_fault(robot) == ("FAULT", "GUARD", 0)
         again = Robot(now_us=0, heat_known=False)
         core().fk_robot_note_reset(again.memory, RESET["SOFTWARE"], robot.kept)
         assert again.ask("STATUS")["rest_us"] == UNKNOWN_REST_US

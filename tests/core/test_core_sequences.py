@@ -191,28 +191,28 @@ def test_the_onlooker_knows_the_limits_to_the_microsecond() -> None:
     def pulse(limb: int, at_us: int, length_us: int) -> list[tuple[int, int, int]]:
         return [(at_us, HIGH, limb), (at_us + length_us, LOW, limb)]
 
-    def told(*rows: tuple[int, int, int]) -> list[str]:
+    def broken_limits(*rows: tuple[int, int, int]) -> list[str]:
         return list(broken(judge(LIMITS, seen(*rows))))
 
-    assert told(*pulse(0, 10, 100_000)) == []
-    assert told(*pulse(0, 10, 100_001)) == ["pulse"]
-    assert told(*pulse(0, 10, 10), *pulse(0, 500_020, 10)) == []
-    assert told(*pulse(0, 10, 10), *pulse(0, 500_019, 10)) == ["rest"]
+    assert broken_limits(*pulse(0, 10, 100_000)) == []
+    assert broken_limits(*pulse(0, 10, 100_001)) == ["pulse"]
+    assert broken_limits(*pulse(0, 10, 10), *pulse(0, 500_020, 10)) == []
+    assert broken_limits(*pulse(0, 10, 10), *pulse(0, 500_019, 10)) == ["rest"]
     often = [row for k in range(5) for row in pulse(0, 1000 + k * 600_000, 80_000)]
-    assert told(*often) == []
-    assert told(*often, *pulse(0, 1000 + 4_999_999 + 80_000 - 80_000, 80_000)) == ["duty"]
-    assert told(*often, *pulse(0, 1000 + 5_000_000, 80_000)) == []
+    assert broken_limits(*often) == []
+    assert broken_limits(*often, *pulse(0, 1000 + 4_999_999 + 80_000 - 80_000, 80_000)) == ["duty"]
+    assert broken_limits(*often, *pulse(0, 1000 + 5_000_000, 80_000)) == []
     both = [(10, HIGH, 0), (10, HIGH, 1)]
-    assert told(*both) == []
-    assert told(*both, (11, HIGH, 2)) == ["together"]
-    assert told((5, DISARM, 0), *pulse(0, 10, 10)) == ["armed"]
-    assert told((5, HIGH, 0), (10, DISARM, 0), (210, LOW, 0)) == []
-    assert told((5, HIGH, 0), (10, DISARM, 0), (211, LOW, 0)) == ["off"]
+    assert broken_limits(*both) == []
+    assert broken_limits(*both, (11, HIGH, 2)) == ["together"]
+    assert broken_limits((5, DISARM, 0), *pulse(0, 10, 10)) == ["armed"]
+    assert broken_limits((5, HIGH, 0), (10, DISARM, 0), (210, LOW, 0)) == []
+    assert broken_limits((5, HIGH, 0), (10, DISARM, 0), (211, LOW, 0)) == ["off"]
     run = [(10, 7, 0), (20, STARTED, 0)]
-    assert told(*run, *pulse(0, 500_010, 10)) == []
-    assert told(*run, *pulse(0, 500_011, 10)) == ["fresh"]
-    assert told(*run, *pulse(0, 2_000_011, 10)) == ["armed"]
-    assert told(*run, (2_000_010, 10, 2)) == []
-    assert told(*run, (2_000_011, 10, 2)) == ["lost", "told"]
-    assert told((10, 11, 0), (20, ARM, 0), *pulse(0, 30, 10)) == ["armed", "latched"]
-    assert told((10, 1, 0), (20, 10, 1)) == ["lost"], "armed after a reset"
+    assert broken_limits(*run, *pulse(0, 500_010, 10)) == []
+    assert broken_limits(*run, *pulse(0, 500_011, 10)) == ["fresh"]
+    assert broken_limits(*run, *pulse(0, 2_000_011, 10)) == ["armed"]
+    assert broken_limits(*run, (2_000_010, 10, 2)) == []
+    assert broken_limits(*run, (2_000_011, 10, 2)) == ["lost", "told"]
+    assert broken_limits((10, 11, 0), (20, ARM, 0), *pulse(0, 30, 10)) == ["armed", "latched"]
+    assert broken_limits((10, 1, 0), (20, 10, 1)) == ["lost"], "armed after a reset"

@@ -79,7 +79,7 @@ def test_a_state_that_is_none_counts_as_a_fault(number: int) -> None:
 # Internal errors
 
 
-def told(robot: Robot) -> tuple[str, str, int]:
+def state_and_fault(robot: Robot) -> tuple[str, str, int]:
     values = robot.ask("STATUS")
     names = {number: name for name, number in FAULT.items()}
     return STATES[int(values["state"])], names[int(values["fault"])], int(values["fault_detail"])
@@ -106,10 +106,10 @@ def test_a_clock_that_goes_back(state: str) -> None:
         assert robot.tick().limb_mask == 0b0011
     robot.tick(robot.now_us + 1000)
     robot.now_us -= 1
-    assert told(robot) == ("FAULT", "TIME", 0)
+    assert state_and_fault(robot) == ("FAULT", "TIME", 0)
     robot.now_us += 1
     fire_until_fault(robot)
-    assert told(robot) == ("FAULT", "TIME", 0), "latched"
+    assert state_and_fault(robot) == ("FAULT", "TIME", 0), "latched"
 
 
 def test_a_clock_that_goes_back_between_two_ticks() -> None:
@@ -119,7 +119,7 @@ def test_a_clock_that_goes_back_between_two_ticks() -> None:
     out = robot.tick(robot.now_us - 1)
     assert (out.all_off, out.limb_mask) == (1, 0), "at once"
     robot.now_us += 1
-    assert told(robot) == ("FAULT", "TIME", 0)
+    assert state_and_fault(robot) == ("FAULT", "TIME", 0)
 
 
 @pytest.mark.parametrize("number", [3, 4, 200])
@@ -131,7 +131,7 @@ def test_a_state_that_nobody_set(number: int) -> None:
         assert robot.tick().limb_mask == 0, "no pulse, though a stroke was asked for"
         return
     fire_until_fault(robot)
-    assert told(robot) == ("FAULT", "STATE", 0)
+    assert state_and_fault(robot) == ("FAULT", "STATE", 0)
 
 
 def test_a_disarmed_robot_with_a_stroke_asked_for_does_not_fire() -> None:
@@ -149,16 +149,16 @@ def test_an_action_that_the_table_lacks(action: int) -> None:
     assert robot.stroke("B") == "OK"
     core().fk_test_spoil_robot(robot.memory, -1, action)
     fire_until_fault(robot)
-    assert told(robot) == ("FAULT", "ACTION", 0)
+    assert state_and_fault(robot) == ("FAULT", "ACTION", 0)
 
 
 def test_a_pulse_that_the_port_could_not_start() -> None:
     robot = Robot().begin("RUNNING")
     core().fk_robot_note_pulse_failed(robot.memory, -2)
     fire_until_fault(robot)
-    assert told(robot) == ("FAULT", "PULSE", -2)
+    assert state_and_fault(robot) == ("FAULT", "PULSE", -2)
     core().fk_robot_note_pulse_failed(robot.memory, -1)
-    assert told(robot) == ("FAULT", "PULSE", -2), "the first error is the one that is told"
+    assert state_and_fault(robot) == ("FAULT", "PULSE", -2), "the first error is the one that is told"
 
 
 @pytest.mark.parametrize("state", ["DISARMED", "ARMED", "RUNNING"])
@@ -171,7 +171,7 @@ def test_a_port_s_clock_that_is_not_exact(state: str) -> None:
     assert robot.tick().all_off == 1
     core().fk_robot_note_clock_failed(robot.memory)
     assert robot.tick().all_off == 0
-    assert told(robot) == ("FAULT", "CLOCK", 0)
+    assert state_and_fault(robot) == ("FAULT", "CLOCK", 0)
 
 
 def test_an_armed_robot_that_hears_nothing_disarms() -> None:
@@ -179,13 +179,13 @@ def test_an_armed_robot_that_hears_nothing_disarms() -> None:
     robot = Robot().begin("ARMED")
     for _ in range(3):
         robot.run_until(robot.now_us + SILENT_US - 1)
-        assert told(robot) == ("ARMED", "NONE", 0)
+        assert state_and_fault(robot) == ("ARMED", "NONE", 0)
     heard_us = robot.now_us
     out = robot.tick()
     assert out.next_tick_us == heard_us + SILENT_US, "it wakes for it"
     assert robot.tick(heard_us + SILENT_US - 1).all_off == 0
     assert robot.tick(heard_us + SILENT_US).all_off == 1
-    assert told(robot) == ("DISARMED", "NONE", 0)
+    assert state_and_fault(robot) == ("DISARMED", "NONE", 0)
     assert robot.stroke("B") == "STATE"
     assert robot.status("ARM") == "OK"
 
@@ -268,7 +268,7 @@ def test_a_pulse_that_the_port_is_too_late_for_is_a_refused_stroke() -> None:
     core().fk_robot_note_pulse_failed(robot.memory, LATE)
     assert robot.run_until(robot.now_us + 1_000_000) == [], "no second half"
     assert [(frame.name, frame.values["action"]) for frame in robot.take()] == [("REFUSED", ACTION["B"])]
-    assert told(robot) == ("ARMED", "NONE", 0)
+    assert state_and_fault(robot) == ("ARMED", "NONE", 0)
     counts = robot.ask("STATUS")
     assert (counts["pulses"], counts["pulses_refused"]) == (0, 1)
     assert robot.stroke("B") == "OK"
@@ -313,7 +313,7 @@ def test_a_second_half_that_is_too_late_is_left_out() -> None:
     core().fk_robot_note_pulse_failed(robot.memory, LATE)
     assert robot.run_until(robot.now_us + 1_000_000) == []
     assert "REFUSED" not in [frame.name for frame in robot.take()]
-    assert told(robot) == ("ARMED", "NONE", 0)
+    assert state_and_fault(robot) == ("ARMED", "NONE", 0)
     counts = robot.ask("STATUS")
     assert (counts["pulses"], counts["pulses_refused"]) == (1, 1)
 
@@ -323,7 +323,7 @@ def test_late_for_a_pulse_that_nobody_asked_for() -> None:
     robot.tick()
     core().fk_robot_note_pulse_failed(robot.memory, LATE)
     fire_until_fault(robot)
-    assert told(robot) == ("FAULT", "PULSE", LATE)
+    assert state_and_fault(robot) == ("FAULT", "PULSE", LATE)
 
 
 def test_a_table_that_is_refused_is_told() -> None:
@@ -332,7 +332,7 @@ def test_a_table_that_is_refused_is_told() -> None:
     robot = Robot(bytes(table))
     assert robot.error == -25
     fire_until_fault(robot)
-    assert told(robot) == ("FAULT", "TABLE", -25)
+    assert state_and_fault(robot) == ("FAULT", "TABLE", -25)
     values = robot.ask("HELLO")
     assert (values["robot_id"], values["actions"], values["table_crc"]) == ("frog2022", 0, 0)
     rows = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]

@@ -53,7 +53,7 @@ def set_batteries(port: VirtualRobot, *volts: float) -> None:
         port.chip.power.input_v[place] = volt / DIVIDER
 
 
-def told(session: Session) -> tuple[int, int]:
+def state_and_supply(session: Session) -> tuple[int, int]:
     values = session.request("STATUS")
     return int(values["state"]), int(values["supply"])
 
@@ -78,7 +78,7 @@ def test_one_battery_that_is_low_disarms(falls: int) -> None:
         set_batteries(port, *volts)
         for _ in range(4):  # a link that says nothing disarms as well
             session.step(session.time_s + DECIDED_S / 4)
-            found = told(session)
+            found = state_and_supply(session)
         assert found == (STATE[state], SUPPLY[supply]), volt
         if supply == "LOW":
             assert arm(session) == "SUPPLY"
@@ -97,14 +97,14 @@ def test_a_battery_that_sags_under_load_is_none_that_is_low() -> None:
             heated = any(p.end_s > session.time_s - 0.15 for p in pulses_of(session.edges, session.time_s))
             set_batteries(port, *([7.0, 7.0] if heated else [11.0, 11.0]))
         assert len(session.edges) > seen
-        assert told(session) == (STATE["ARMED"], SUPPLY["OK"])
+        assert state_and_supply(session) == (STATE["ARMED"], SUPPLY["OK"])
 
 
 @pytest.mark.parametrize("volts", [(0.0, 12.0), (12.0, 0.0), (10.6, 12.0)])
 def test_a_battery_that_was_never_seen_well_counts_as_low(volts: tuple[float, float]) -> None:
     """A plug that is out; and one between the limit and well."""
     _, session = robot(*volts)
-    assert told(session) == (STATE["DISARMED"], SUPPLY["LOW"])
+    assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["LOW"])
     assert arm(session) == "SUPPLY"
 
 
@@ -115,7 +115,7 @@ def test_a_converter_that_stops_disarms() -> None:
     converter.works = False
     for _ in range(4):
         session.step(session.time_s + DECIDED_S / 4)
-        found = told(session)
+        found = state_and_supply(session)
     assert found == (STATE["DISARMED"], SUPPLY["LOW"])
 
 

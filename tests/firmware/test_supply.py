@@ -28,7 +28,7 @@ def status_of(session: Session, name: str) -> str:
     return LAYOUT.status_name(int(session.ask(name)["status"]))
 
 
-def told(session: Session) -> tuple[int, int]:
+def state_and_supply(session: Session) -> tuple[int, int]:
     values = session.request("STATUS")
     return int(values["state"]), int(values["supply"])
 
@@ -51,7 +51,7 @@ def test_a_supply_that_falls_disarms_within_a_millisecond(into_pulse_s: float | 
     pulses = pulses_of(session.edges, session.time_s)
     assert all(pulse.end_s < fell_s + 0.001 for pulse in pulses)
     assert bool(pulses) == (into_pulse_s is not None)
-    assert told(session) == (STATE["DISARMED"], SUPPLY["LOW"])
+    assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["LOW"])
     assert status_of(session, "ARM") == "SUPPLY"
     begun = port.chip.busy_cycles
     session.step(session.time_s + 10.0)
@@ -59,9 +59,9 @@ def test_a_supply_that_falls_disarms_within_a_millisecond(into_pulse_s: float | 
     assert status_of(session, "ARM") == "SUPPLY", "as long as it is low"
     port.chip.power.set_supply(2.75)
     session.step(session.time_s + 1.1)
-    assert told(session) == (STATE["DISARMED"], SUPPLY["FELL"])
+    assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["FELL"])
     assert status_of(session, "ARM") == "OK"
-    assert told(session) == (STATE["ARMED"], SUPPLY["OK"])
+    assert state_and_supply(session) == (STATE["ARMED"], SUPPLY["OK"])
     session.request("STROKE", {"action": firing()})
     session.step(session.time_s + 1.0)
     assert len(pulses_of(session.edges, session.time_s)) > len(pulses)
@@ -72,7 +72,7 @@ def test_a_supply_that_is_well_changes_nothing(supply_v: float) -> None:
     port, session = armed()
     port.chip.power.set_supply(supply_v)
     session.step(session.time_s + 1.0)
-    assert told(session) == (STATE["ARMED"], SUPPLY["OK"])
+    assert state_and_supply(session) == (STATE["ARMED"], SUPPLY["OK"])
 
 
 def test_a_dip_of_a_microsecond_is_told() -> None:
@@ -82,7 +82,7 @@ def test_a_dip_of_a_microsecond_is_told() -> None:
     session.step(session.time_s + 1e-6)
     port.chip.power.set_supply(3.0)
     session.step(session.time_s + 1.5)
-    assert told(session) == (STATE["DISARMED"], SUPPLY["FELL"])
+    assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["FELL"])
 
 
 def test_a_robot_that_starts_with_a_low_supply_is_not_armed() -> None:
@@ -90,7 +90,7 @@ def test_a_robot_that_starts_with_a_low_supply_is_not_armed() -> None:
     port.chip.power.set_supply(2.4)
     session = Session(port)
     session.handshake(rig.tables())
-    assert told(session) == (STATE["DISARMED"], SUPPLY["LOW"])
+    assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["LOW"])
     assert status_of(session, "ARM") == "SUPPLY"
 
 
@@ -102,7 +102,7 @@ def test_a_reset_with_a_low_supply() -> None:
     assert len(port.chip.resets) == 1
     session.conversation = 2
     session.handshake(rig.tables())
-    assert told(session) == (STATE["DISARMED"], SUPPLY["LOW"])
+    assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["LOW"])
 
 
 @from_ci

@@ -15,21 +15,21 @@ from frogkick.front.mission import next_paths
 from frogkick.paths import line, shape
 
 
-def told(then: object) -> list[tuple[str, float, bool]]:
+def taken(then: object) -> list[tuple[str, float, bool]]:
     return [(one.path.name, one.at_s, one.here) for one in next_paths(then, 60.0)]  # type: ignore[arg-type]
 
 
 def test_what_is_taken(tmp_path: Path) -> None:
     odd = tmp_path / "a@3.csv"
     odd.write_text("x,y\n0,0\n0.2,0\n")
-    assert told(()) == []
-    assert told("sine@7.5") == [("sine", 7.5, False)]
-    assert told(["sine@0", "line@7@here"]) == [("sine", 0.0, False), ("line", 7.0, True)]
-    assert told((line(), 4)) == [("line", 4.0, False)]
-    assert told(("ellipse", 4.0, "here")) == [("ellipse", 4.0, True)]
-    assert told([(line(), 4), ("sine", "5")]) == [("line", 4.0, False), ("sine", 5.0, False)]
-    assert told((("sine", 4), "line@5")) == [("sine", 4.0, False), ("line", 5.0, False)]
-    assert [at_s for _, at_s, _ in told(f"{odd}@9@here")] == [9.0]
+    assert taken(()) == []
+    assert taken("sine@7.5") == [("sine", 7.5, False)]
+    assert taken(["sine@0", "line@7@here"]) == [("sine", 0.0, False), ("line", 7.0, True)]
+    assert taken((line(), 4)) == [("line", 4.0, False)]
+    assert taken(("ellipse", 4.0, "here")) == [("ellipse", 4.0, True)]
+    assert taken([(line(), 4), ("sine", "5")]) == [("line", 4.0, False), ("sine", 5.0, False)]
+    assert taken((("sine", 4), "line@5")) == [("sine", 4.0, False), ("line", 5.0, False)]
+    assert [at_s for _, at_s, _ in taken(f"{odd}@9@here")] == [9.0]
 
 
 @pytest.mark.parametrize(

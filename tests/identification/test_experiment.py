@@ -223,11 +223,15 @@ def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPat
 
 
 def test_what_to_do_is_said_by_how_far_apart_models_are() -> None:
-    def told(sigma: float, names: tuple[str, ...] = ("A", "B")) -> Experiment:
+    def with_sigma(sigma: float, names: tuple[str, ...] = ("A", "B")) -> Experiment:
         return Experiment(("x", "y"), names, (0.0, 0.0, 0.0), sigma)
 
-    assert told(DECISIVE_SIGMA).text.startswith("to distinguish x from y, record from rest: AB (2 periods")
-    assert told(DECISIVE_SIGMA / 1.9).text.startswith("to distinguish x from y, record 4 times from rest: AB")
-    assert told(0.1).text.startswith("no sequence of these actions from rest distinguishes x from y")
-    assert told(9.0, ("left", "right")).as_json()["actions"] == "left right"
-    assert told(9.0).as_json()["periods"] == 2
+    assert with_sigma(DECISIVE_SIGMA).text.startswith(
+        "to distinguish x from y, record from rest: AB (2 periods"
+    )
+    assert with_sigma(DECISIVE_SIGMA / 1.9).text.startswith(
+        "to distinguish x from y, record 4 times from rest: AB"
+    )
+    assert with_sigma(0.1).text.startswith("no sequence of these actions from rest distinguishes x from y")
+    assert with_sigma(9.0, ("left", "right")).as_json()["actions"] == "left right"
+    assert with_sigma(9.0).as_json()["periods"] == 2

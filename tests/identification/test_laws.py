@@ -284,17 +284,17 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
     weak, broken = (terms["limb_wear rear_left"].at([gain, 0.0, 1.0]) for gain in (0.9, 0.35))
     names = [each.name for each in robot().limbs]
 
-    def told_by(table: dict[str, Any], unit: str = "1", size: float = 1.0) -> Any:
+    def response_of(table: dict[str, Any], unit: str = "1", size: float = 1.0) -> Any:
         parameters = {"size": {"value": size, "unit": unit}}
         (law,) = make_effects([{"name": "law", "parameters": parameters, **table}], Path())
         assert isinstance(law, Law)
         return responses.to(law, {}, names)
 
     for term, reported in (
-        (push, told_by({"on": "wrench", "forward_n": "size"}, "N", 1e-3)),
-        (weak, told_by({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.9)),
-        (broken, told_by({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.35)),
-        (late, told_by({"on": "fix", "delay_s": "size"}, "s", 0.05)),
+        (push, response_of({"on": "wrench", "forward_n": "size"}, "N", 1e-3)),
+        (weak, response_of({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.9)),
+        (broken, response_of({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.35)),
+        (late, response_of({"on": "fix", "delay_s": "size"}, "s", 0.05)),
     ):
         moved = Model(robot(), (term,), nominal.model.noise)
         true = residuals_of(rollouts_of([moved], swims)[0], data.rows) - nominal.residuals

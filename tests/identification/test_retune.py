@@ -359,14 +359,14 @@ def test_from_logs_to_firmware(
     )
     outcome = known_outcome(*(list(map(read_segments, some)) for some in (runs[:2], runs[2:])), *WEAR)
 
-    def told(*arguments: Any, progress: Any, **more: Any) -> Outcome:
+    def identified(*arguments: Any, progress: Any, **more: Any) -> Outcome:
         assert [[swim.name for swim in swims] for swims in arguments[:2]] == [
             [run.name for run in some] for some in (runs[:2], runs[2:])
         ]
         progress("candidates", 1, 1)
         return outcome
 
-    monkeypatch.setattr(module, "identify", told)
+    monkeypatch.setattr(module, "identify", identified)
     monkeypatch.setattr(tables_module, "LOOP_PATHS", ("line",))
     monkeypatch.setattr(tables_module, "LOOP_SEEDS", 1)
     code, stdout, stderr = command(capsys, *runs, *given, "--out", out)

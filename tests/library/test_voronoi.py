@@ -13,7 +13,7 @@ CODES = RNG.uniform(-2000.0, 2000.0, (cases(16_000, 16_000, 9000), 3))
 WEIGHT = np.array([1.0, 2.0])
 
 
-def told(cells: VoronoiCells, codes: np.ndarray) -> np.ndarray:
+def from_nearest(cells: VoronoiCells, codes: np.ndarray) -> np.ndarray:
     """What the nearest state says, by brute force."""
     label = ((codes[:, None, :] - cells.codes[None]) ** 2).sum(axis=2).argmin(axis=1)
     offset = codes - cells.codes[label]
@@ -24,7 +24,7 @@ def test_a_linear_system_is_exact_in_any_number_of_cells() -> None:
     values = np.array([3.0, -1.0]) + CODES @ RNG.uniform(-1e-3, 1e-3, (3, 2))
     regression = VoronoiRegression(CODES, values, WEIGHT, linear=True)
     for count in (1, 2, 17):
-        assert told(regression.cells(count), CODES[:500]) == pytest.approx(values[:500], abs=1e-9)
+        assert from_nearest(regression.cells(count), CODES[:500]) == pytest.approx(values[:500], abs=1e-9)
 
 
 def bent(codes: np.ndarray) -> np.ndarray:
@@ -42,7 +42,7 @@ def test_more_cells_err_less_and_their_errors_are_what_they_say(linear: bool, le
         cells = regression.cells(count)
         assert len(cells.codes) == count
         assert np.array_equal(cells.codes, np.round(cells.codes))
-        again = (((told(cells, CODES) - values) / WEIGHT) ** 2).sum(axis=1)
+        again = (((from_nearest(cells, CODES) - values) / WEIGHT) ** 2).sum(axis=1)
         assert cells.error == pytest.approx(again, rel=1e-6, abs=1e-9)
         offset = CODES - cells.codes[cells.label]
         assert cells.reach == pytest.approx(np.abs(offset).max(axis=0))
@@ -50,7 +50,7 @@ def test_more_cells_err_less_and_their_errors_are_what_they_say(linear: bool, le
         assert linear or not cells.slope.any()
     assert sums[0] > least * sums[1] > least**2 * sums[2]
     unseen = RNG.uniform(-1900.0, 1900.0, (1000, 3))
-    missed = (((told(cells, unseen) - bent(unseen)) / WEIGHT) ** 2).sum(axis=1)
+    missed = (((from_nearest(cells, unseen) - bent(unseen)) / WEIGHT) ** 2).sum(axis=1)
     assert np.sqrt(missed.mean()) < 2.0 * sums[2]
 
 
@@ -82,7 +82,7 @@ def test_no_more_cells_than_different_samples() -> None:
     few = np.repeat(CODES[:5], 20, axis=0)
     cells = VoronoiRegression(few, bent(few), WEIGHT, linear=True).cells(50)
     assert len(cells.codes) <= 5
-    assert told(cells, few) == pytest.approx(bent(few), abs=1e-2)
+    assert from_nearest(cells, few) == pytest.approx(bent(few), abs=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def test_the_streamlined_hull_is_the_faster_one_of_the_same_mass() -> None:
     assert speeds[1] > 1.2 * speeds[0]
 
 
-def told_by(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+def json_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     assert run_command([*arguments, "--json"]) == 0, capsys.readouterr().err
     output = json.loads(capsys.readouterr().out)
     assert isinstance(output, dict)
@@ -86,32 +86,32 @@ def test_six_limbs_from_the_file_to_the_closed_loop(
     """Library, table, emitted C, both firmware targets, checks on the virtual chip, a run along a path."""
     robot = load_robot("hexapod")
     lib, fkt, emitted = tmp_path / "lib.h5", tmp_path / "hex.fkt", tmp_path / "emitted"
-    output = told_by(
+    output = json_of(
         capsys, "library", "build", "hexapod", "--states", "6", "--sampling", "visited", "--workers", "1",
         "--out", str(lib),
     )  # fmt: skip
     assert output["transitions"] == 72
-    told_by(capsys, "tables", "build", str(lib), "--test-states", "4", "--out", str(fkt))
+    json_of(capsys, "tables", "build", str(lib), "--test-states", "4", "--out", str(fkt))
     tables = read_image(fkt)
     assert (tables.robot_id, tables.limbs, len(tables.actions), len(tables.states)) == ("hexapod", 6, 12, 6)
     assert [(a.first_mask, a.second_mask) for a in tables.actions] == [
         (a.first_mask, a.second_mask) for a in robot.actions
     ]
 
-    told_by(capsys, "codegen", str(fkt), "--out", str(emitted))
+    json_of(capsys, "codegen", str(fkt), "--out", str(emitted))
     program = tmp_path / "example"
     zig("host").run([*FLAGS, f"-I{emitted}", *sorted(emitted.glob("*.c")), "-o", program], folder=tmp_path)
     assert subprocess.run([program], capture_output=True, check=False).returncode == 0
 
-    told_by(
+    json_of(
         capsys, "firmware", "build", "--target", "native", "--tables", str(fkt), "--out", str(tmp_path / "n")
     )
-    bench = told_by(
+    bench = json_of(
         capsys, "firmware", "build", "--target", "bench", "--tables", str(fkt), "--out", str(tmp_path / "b")
     )
     assert bench["flash_bytes"]
-    told_by(capsys, "firmware", "test", "--tables", str(fkt))
-    same = told_by(
+    json_of(capsys, "firmware", "test", "--tables", str(fkt))
+    same = json_of(
         capsys, "parity", "--tables", str(fkt), "--states", "1000", "--chip-states", "32",
         "--loop-decisions", "40",
     )  # fmt: skip
@@ -120,7 +120,7 @@ def test_six_limbs_from_the_file_to_the_closed_loop(
 
     path = tmp_path / "ahead.csv"
     path.write_text("x,y\n0,0\n0.12,0\n")
-    ran = told_by(
+    ran = json_of(
         capsys, "run", "--robot", "pool", "--tables", str(fkt), "--path", str(path), "--simulated-time", "40",
         "--out", str(tmp_path / "run.h5"),
     )  # fmt: skip

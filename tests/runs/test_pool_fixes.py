@@ -55,7 +55,7 @@ def decided() -> Decision:
     return dataclasses.replace(recording.decisions[-1], status=0, action=index, plan_us=4_000)
 
 
-def told(decision: Decision, at_s: float, refused: bool = False, onboard: bool = True) -> Recording:
+def recording_of(decision: Decision, at_s: float, refused: bool = False, onboard: bool = True) -> Recording:
     """A recording whose robot decided at a session time."""
     scheduled_us = round(at_s * 1e6) + (OFFSET_US if onboard else 0)
     recording = rig.recording(shape("line"), RunOptions(PlanConfig(), onboard))
@@ -84,7 +84,7 @@ def test_a_stroke_begins_when_the_robot_began_it(decided: Decision, onboard: boo
     live(source, clock, 1.0)
     at_s = clock.now_s - 950.0
     live(source, clock, 0.06)
-    source.follow(told(decided, at_s, onboard=onboard))
+    source.follow(recording_of(decided, at_s, onboard=onboard))
     live(source, clock, 1.4)
     assert source.late == 0
     beside = Pool(rig.robot(), START, Camera(delay_s=0.0), np.random.default_rng(1))
@@ -111,7 +111,7 @@ def test_what_is_true_in_the_pool_besides_acts_on_it(decided: Decision, tmp_path
     for world in (World(), read_world(tmp_path / "worn.toml")):
         source, clock = begun(world)
         live(source, clock, 1.0)
-        source.follow(told(decided, clock.now_s - 950.0))
+        source.follow(recording_of(decided, clock.now_s - 950.0))
         live(source, clock, 1.4)
         swum.append(np.hypot(*(source.pool.state()[0] - START)[:2]))
     assert swum[1] < 0.8 * swum[0]
@@ -120,7 +120,7 @@ def test_what_is_true_in_the_pool_besides_acts_on_it(decided: Decision, tmp_path
 def test_a_stroke_that_the_guard_refused_moves_nothing(decided: Decision) -> None:
     source, clock = begun()
     live(source, clock, 1.0)
-    source.follow(told(decided, clock.now_s - 950.0, refused=True))
+    source.follow(recording_of(decided, clock.now_s - 950.0, refused=True))
     live(source, clock, 1.4)
     assert source.pool.state()[0] == pytest.approx(START, abs=1e-6)
 
@@ -128,7 +128,7 @@ def test_a_stroke_that_the_guard_refused_moves_nothing(decided: Decision) -> Non
 def test_a_stroke_that_is_told_too_late_begins_late_and_is_counted(decided: Decision) -> None:
     source, clock = begun()
     live(source, clock, 1.0)
-    source.follow(told(decided, clock.now_s - 950.0 - 0.5))
+    source.follow(recording_of(decided, clock.now_s - 950.0 - 0.5))
     live(source, clock, 1.4)
     row = rig.tables().actions[decided.action]
     assert source.late == (row.first_mask | row.second_mask).bit_count()

@@ -40,7 +40,7 @@ def undisturbed(minutes: int) -> Figures:
     return life.watch.figures
 
 
-def told(values: list[float]) -> str:
+def mean_and_most(values: list[float]) -> str:
     return f"{np.mean(values):.1f}, at most {max(values):.1f}"
 
 
@@ -71,8 +71,8 @@ def test_a_robot_comes_through_its_life() -> None:
     print(f"{minutes} simulated minutes")
     print(f"disturbances {figures.disturbances}, {life.robot.lives} lives, wraps {dict(life.robot.wraps)}")
     off_mm = 1e3 * figures.distance_sum_m / figures.distances
-    print(f"running again after {told(figures.running_s)} s ({RUN_S:g})")
-    print(f"on the route after {told(figures.back_s)} s ({BACK_S:g})")
+    print(f"running again after {mean_and_most(figures.running_s)} s ({RUN_S:g})")
+    print(f"on the route after {mean_and_most(figures.back_s)} s ({BACK_S:g})")
     calm = undisturbed(minutes)
     calm_mm = 1e3 * calm.distance_sum_m / calm.distances
     worst_m = max(NEAR_M, calm.worst_mean_m)

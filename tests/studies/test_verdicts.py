@@ -133,7 +133,7 @@ def test_the_right_law_is_named_by_kind_place_and_limb() -> None:
     assert moment.holds(then) and not moment.holds(other)
     assert not rights([cable, {"name": "limb_wear"}]), "a law for each, or none"
 
-    def told(*terms: Term, verdict: str = FOUND_LAW, after: float = 2e-3) -> Result:
+    def judged_result(*terms: Term, verdict: str = FOUND_LAW, after: float = 2e-3) -> Result:
         given = cast(Any, outcome(verdict))
         given.terms = list(terms)
         given.parameters = [[] for _ in terms]
@@ -144,17 +144,17 @@ def test_the_right_law_is_named_by_kind_place_and_limb() -> None:
         )  # fmt: skip
         return score_case(kinds()["spring to a point + break"], [cable, broken], given, 1.0)
 
-    both = told(here, then)
+    both = judged_result(here, then)
     assert both.right and not both.wrong and both.gone == pytest.approx(0.75)
-    assert told(here, then, verdict=PARTLY).right, "named, though more than noise is left"
+    assert judged_result(here, then, verdict=PARTLY).right, "named, though more than noise is left"
     for wrong in (
-        told(here),
-        told(here, other),
-        told(here, then, law("compass")),
-        told(here, then, after=6e-3),
+        judged_result(here),
+        judged_result(here, other),
+        judged_result(here, then, law("compass")),
+        judged_result(here, then, after=6e-3),
     ):
         assert wrong.wrong and not wrong.right
-    missed = told(verdict=UNEXPLAINED, after=5e-3)
+    missed = judged_result(verdict=UNEXPLAINED, after=5e-3)
     assert not missed.right and not missed.wrong and missed.gone == 0.0
 
     def study(*results: Result) -> VerdictStudy:
@@ -162,7 +162,7 @@ def test_the_right_law_is_named_by_kind_place_and_limb() -> None:
             {Case("spring to a point + break", seed): result for seed, result in enumerate(results)}
         )
 
-    many = study(*[both] * 97, *[told(here)] * 3)
+    many = study(*[both] * 97, *[judged_result(here)] * 3)
     assert many.groups["laws"] == {
         "cases": 100, "right": 97, "wrongly_found": 3, "parameters": 0, "inside": 0, "passed": True,
         "gone": 100,

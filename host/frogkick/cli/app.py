@@ -52,6 +52,7 @@ STUDY_COMMANDS = {
     "verdicts": ("study", "Put synthetic effects in pools and identify them from logs."),
     "wake": ("study", "Predict the speed over phase offset with a wake model."),
     "water": ("study", "Test theory about added mass and inertia on measurements."),
+    "shared": ("study", "Fit one water to swims and recorded runs together."),
     "openloop": ("study", "Fit effects to some measured swims and predict the others."),
     "heldout": ("study", "Cross-validate: predict each run from all other runs."),
     "convergence": ("study", "Measure the error of the rods against their time step."),

@@ -310,6 +310,22 @@ class Water(Config):
 
 
 @dataclass(frozen=True)
+class Shared(Config):
+    """Fit one water to measured swims and recorded runs: alloys and builds differ, the water does not.
+
+    Alloys have an amplitude and a time scale, builds an offset, each with a prior; what is not known is
+    integrated over. Groups of swims and recorded runs are left out in turn: swims by the water of swims and
+    by that of recorded runs, runs by their own water, by that of swims, and by one for both.
+    """
+
+    data_dir: Annotated[Path, Argument(help="Folder of the paper's data: exp/, profile/, control/.")]
+    runs: Annotated[bool, Option(help="Also fit recorded runs (ten minutes of one core).")] = True
+    robot: str = "frog2022"
+    out: PictureOption = None
+    workers: int = 0
+
+
+@dataclass(frozen=True)
 class Heldout(Config):
     """Cross-validate identification: predict each run with the effects identified from all others.
 
@@ -362,7 +378,7 @@ STUDIES: Mapping[str, type[Config]] = {
     kind.__name__.lower(): kind
     for kind in (
         Tables, History, Estimator, Loop, Twin, Ceiling, Foresight, Weights, Verdicts, Openloop, Wake, Water,
-        Heldout, Convergence, Chip,
+        Shared, Heldout, Convergence, Chip,
     )
 }  # fmt: skip
 """Name of each study, of its command and of its module."""

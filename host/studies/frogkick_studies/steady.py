@@ -69,17 +69,17 @@ class Free:
         return low / self.width, high / self.width
 
 
-_LIMB_DRAG = Free("hull", "limb_drag", math.log(2.0), starts=(-0.25, 0.0))
-_FRAME_DRAG = Free("hull", "frame_drag", math.log(2.0))
-_PLATE = Free("limb_plate", "added", 0.4, False, 2.5, (-1.0, 0.0))
+LIMB_DRAG = Free("hull", "limb_drag", math.log(2.0), starts=(-0.25, 0.0))
+FRAME_DRAG = Free("hull", "frame_drag", math.log(2.0))
+PLATE = Free("limb_plate", "added", 0.4, False, 2.5, (-1.0, 0.0))
 
 CANDIDATES: tuple[tuple[Free, ...], ...] = (
-    (_LIMB_DRAG,),
+    (LIMB_DRAG,),
     # Theory gives a limb the added mass of a plate, which makes the robot slower. So something else is off as
     # well: the drag of the frame, or what tips leave behind, of which slender-body theory has too much here.
-    (_PLATE, _FRAME_DRAG),
-    (_PLATE, Free("limb_plate", "shedding", 0.3, False, 0.0, (0.1,))),
-    (_FRAME_DRAG,),
+    (PLATE, FRAME_DRAG),
+    (PLATE, Free("limb_plate", "shedding", 0.3, False, 0.0, (0.1,))),
+    (FRAME_DRAG,),
     (Free("limb_wear", "duration_scale", math.log(1.5)),),
     (Free("group_loss", "loss", 0.3, False, 0.0, (0.3,)), Free("group_loss", "fade_s", math.log(3.0))),
 )

@@ -324,6 +324,17 @@ def _row_json(row: Row) -> dict[str, Any]:
     }
 
 
+def recorded(data_dir: Path, robot: Robot) -> tuple[list[Path], list[Segments]]:
+    """Return the files of a folder's recorded runs that have a path, and the periods of those to rely on."""
+    paths = [
+        file
+        for file in sorted((data_dir / "control").glob("*.csv"))
+        if (found_run := re.fullmatch(r"([a-z]+?)(\d+)", file.stem))
+        and file.with_name(f"{found_run[1]}p{found_run[2]}.csv").exists()
+    ]
+    return paths, reliable([read_segments(path, robot) for path in paths])[0]
+
+
 def run(config: Water) -> WaterStudy:
     robot = load_robot(config.robot)
     with shown(True, "water: swims") as tell:
@@ -334,14 +345,7 @@ def run(config: Water) -> WaterStudy:
             f"{str(config.data_dir)!r} has no measured swim whose limbs have a profile: "
             "give a folder with exp/ and profile/"
         )
-    paths = [
-        file
-        for file in sorted((config.data_dir / "control").glob("*.csv"))
-        if (found_run := re.fullmatch(r"([a-z]+?)(\d+)", file.stem))
-        and file.with_name(f"{found_run[1]}p{found_run[2]}.csv").exists()
-    ]
-    runs = [read_segments(path, robot) for path in paths]
-    runs, _ = reliable(runs)
+    paths, runs = recorded(config.data_dir, robot)
     nominal = np.array([row.model_mps for row in measured])
     rows = []
     every = hypotheses(robot)

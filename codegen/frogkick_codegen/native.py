@@ -26,10 +26,10 @@ from frogkick.tables.image import TableError
 from frogkick_codegen import declared
 from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES, WARNINGS, Compiler, ToolchainError, zig
 
-PLANNER_HEADERS = ("fk_planner.h", "fk_tables.h", "fk_internal.h", "fk_route.h", "fk_trig.h")
+PLANNER_HEADERS = ("fk_planner.h", "fk_tables.h", "fk_internal.h", "fk_route.h", "fk_search.h", "fk_trig.h")
 PLANNER_SOURCES = (
-    "cost.c", "lookup.c", "math.c", "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c",
-    "wear.c",
+    "cost.c", "lookup.c", "math.c", "nearest.c", "path.c", "plan.c", "route.c", "search_beam.c", "tables.c",
+    "tables_check.c", "tree.c", "wear.c",
 )  # fmt: skip
 
 

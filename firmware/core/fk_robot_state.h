@@ -27,7 +27,7 @@
  * image of GCC it is up to a quarter longer (tests/extra/test_arm_gcc.py): a plan of limited time takes that much
  * longer there, and the longest still ends before the watchdog resets the chip. All builds use one number, so that
  * all decide alike. */
-#define FK_TRANSITION_NS 22000u
+#define FK_TRANSITION_NS 26000u
 
 struct fk_robot {
     fk_tables_t tables;

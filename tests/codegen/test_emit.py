@@ -24,8 +24,9 @@ IMAGE = synthetic.image()
 COMMAND = "frogkick codegen frog.fkt --out planner"
 NAMES = {
     "README.md", "cost.c", "example_main.c", "fk_config.h", "fk_internal.h", "fk_planner.h",
-    "fk_route.h", "fk_sizes.h", "fk_table.c", "fk_table.h", "fk_tables.h", "fk_trig.h", "lookup.c", "math.c",
-    "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c", "wear.c",
+    "fk_route.h", "fk_search.h", "fk_sizes.h", "fk_table.c", "fk_table.h", "fk_tables.h", "fk_trig.h",
+    "lookup.c", "math.c", "nearest.c", "path.c", "plan.c", "route.c", "search_beam.c", "tables.c",
+    "tables_check.c", "tree.c", "wear.c",
 }  # fmt: skip
 
 

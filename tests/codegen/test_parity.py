@@ -11,7 +11,7 @@ from tests.conftest import count, from_ci, some
 from tests.planner import synthetic
 
 from frogkick.core.errors import FrogkickError, InputError
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.tables.image import Tables, open_image
 from frogkick_codegen.native import NativeLibrary, planner_files
 from frogkick_codegen.parity import (
@@ -172,16 +172,33 @@ MUTATIONS = {
         "distance_cost + (angle_cost + progress_cost)",
     ),
     "the rotation is summed in another order": (
-        "tree.c",
+        "fk_search.h",
         "from->x_m + (from->cosine * motion->forward_m - from->sine * motion->left_m)",
         "(from->x_m + from->cosine * motion->forward_m) - from->sine * motion->left_m",
     ),
     "a coefficient is one unit off": ("fk_trig.h", "0.0416666456f", "0.0416666493f"),
     "levels weigh one more": ("tree.c", "(float)(levels - 1U - index)", "(float)(levels - index)"),
+    "the beam is narrower": ("fk_internal.h", "#define FK_BEAM 12U", "#define FK_BEAM 11U"),
+    "the beam ends a level earlier": ("fk_internal.h", "FK_BEAM_BEYOND 4U", "FK_BEAM_BEYOND 3U"),
+    "an equal branch of a higher action is kept": (
+        "search_beam.c",
+        "(first_action < beam->branches[worst].first_action)",
+        "(first_action > beam->branches[worst].first_action)",
+    ),
+    "a branch counts without how it ends": (
+        "search_beam.c",
+        "fk_beam_place(beam, value, first_action)",
+        "fk_beam_place(beam, cost, first_action)",
+    ),
+    "a level that just fits is not begun": (
+        "search_beam.c",
+        "parents * actions > limit",
+        "parents * actions >= limit",
+    ),
     "the angle is not wrapped": ("cost.c", "fk_wrap_angle(heading_rad", "(heading_rad"),
     "infinity is let through": ("math.c", ">= FK_FLOAT_INFINITY ?", "> FK_FLOAT_INFINITY ?"),
     "the limit itself is refused": (
-        "tree.c",
+        "plan.c",
         "(fk_bits_of_float(state->x_m) & FK_FLOAT_MAGNITUDE) > position_limit",
         "(fk_bits_of_float(state->x_m) & FK_FLOAT_MAGNITUDE) >= position_limit",
     ),
@@ -192,6 +209,8 @@ TELLING = (
     (6000, lambda: TABLES, PlanConfig()),
     (6000, synthetic.grid_tables, PlanConfig()),
     (600, lambda: TABLES, PlanConfig(0.0, 0.0, 0.0, 0.0)),
+    (600, lambda: TABLES, PlanConfig(300.0, 20.0, 0.0, 0.0, 400.0, 0.06, 0.02, cost=Cost.ROUTE)),
+    (600, lambda: TABLES, PlanConfig(0.0, 0.0, 0.0, 0.0, cost=Cost.ROUTE, transitions_max=9 + 81 + 5 * 108)),
 )
 """What tells a changed rule: states, table, configuration."""
 

@@ -14,7 +14,7 @@ from tests.conftest import count
 from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
-from frogkick.planner import floats, kernel
+from frogkick.planner import costs, floats, kernel
 from frogkick.planner.plan import PlanConfig, PlanError, plan, plan_batch
 from frogkick.tables.image import Tables, open_image
 
@@ -217,7 +217,7 @@ def test_a_branch_costs_how_far_beside_the_path_its_end_glides(lead: float) -> N
     rng, soft_m, weight, losses = np.random.default_rng(5), 0.02, 300.0, []
     for _ in range(count(40, 400)):
         state = rng.uniform([0.3, -0.04, -3.1, 0, -0.03, -0.5], [0.5, 0.04, 3.1, 0.04, 0.03, 0.5])
-        base = PlanConfig(1000.0, 100.0, 0.0, 0.0, 500.0, 0.1, soft_m, cost=kernel.COST_ROUTE)
+        base = PlanConfig(1000.0, 100.0, 0.0, 0.0, 500.0, 0.1, soft_m, cost=costs.COST_ROUTE)
         glides = dataclasses.replace(base, glide_weight_per_m=weight, glide_lead=lead)
         start = round(20 * float(state[0]))
         before, after = (plan(tables, path, each, state, along_points=start) for each in (base, glides))
@@ -240,7 +240,7 @@ def test_a_branch_costs_the_angle_between_its_course_and_the_path_ahead(course: 
     rng, angles = np.random.default_rng(6), []
     for _ in range(count(40, 400)):
         state = rng.uniform([0.3, -0.04, -1.4, 0, -0.03, -0.5], [0.5, 0.04, 1.4, 0.04, 0.03, 0.5])
-        base = PlanConfig(1000.0, 0.0, 0.0, 0.0, 500.0, look_ahead_m, 0.02, cost=kernel.COST_ROUTE)
+        base = PlanConfig(1000.0, 0.0, 0.0, 0.0, 500.0, look_ahead_m, 0.02, cost=costs.COST_ROUTE)
         aims = dataclasses.replace(
             base, angle_weight_per_rad=weight, turn_lead=lead, course_weight_per_m=course
         )

@@ -158,6 +158,12 @@ static inline uint32_t fk_add_halves(uint32_t two, uint32_t by)
 #endif
 }
 
+/* With the route cost a depth of FK_BEAM_DEPTH or more is a beam search, FK_BEAM_BEYOND levels deeper than that.
+ * search_beam.c */
+#define FK_BEAM 12U /* branches that are carried on */
+#define FK_BEAM_DEPTH 3U
+#define FK_BEAM_BEYOND 4U
+
 /* Bytes of a column of kind affine: history of four limbs, or of eight. lookup.c */
 #define FK_AFFINE_COLUMN_BYTES(limbs) (((limbs) > 4U) ? 24U : 16U)
 

@@ -1,7 +1,8 @@
 /* fk_planner.h - picks the next action of a stroke-driven robot from a table of transitions.
  *
- * Method: receding-horizon control. At each decision a depth-limited branch and bound over sequences of actions finds
- * the one of least cost on the table's model, and only its first action is taken.
+ * Method: receding-horizon control. At each decision a search over sequences of actions finds one of least cost on the
+ * table's model, and only its first action is taken. It is a depth-limited branch and bound; with the route cost the
+ * larger depths are a beam search.
  *
  * C99, no libc, no heap, no recursion, no double. The caller owns all state. The same bits come out of the
  * Python twin, a PC and the chip, provided that the compiler rounds every operation to float32 once: build
@@ -21,7 +22,7 @@ extern "C" {
 #endif
 
 #define FK_PATH_POINTS_MAX 100U    /* points of a path: 2 to 100 */
-#define FK_DEPTH_MAX 4U            /* levels that the planner looks ahead: 1 to 4 */
+#define FK_DEPTH_MAX 4U            /* depth of the search: 1 to 4 */
 #define FK_POSITION_MAX_M 1000.0f  /* |x|, |y| of a state or a path point */
 #define FK_HEADING_MAX_RAD 1000.0f /* |heading| of a state, |tangent| of a path point */
 #define FK_ANGLE_MAX_RAD 2100.0f   /* |angle| that fk_wrap_angle and fk_sincos accept */
@@ -101,13 +102,14 @@ typedef struct {
     uint32_t transitions_max;    /* transitions after which the search ends, 0 = no limit; the first level is
                                   * always finished */
     uint8_t cost;                /* fk_cost_t */
-    uint8_t depth;               /* levels to look ahead, 1 to FK_DEPTH_MAX; paper: 1 on the robot */
+    uint8_t depth;               /* levels to look ahead, 1 to FK_DEPTH_MAX; paper: 1 on the robot; route: from 3 on a
+                                  * beam search of four levels more */
 } fk_plan_config_t;
 
 /* A decision. */
 typedef struct {
     uint8_t action;         /* index into the table's actions: first action of the branch of least cost */
-    uint8_t depth_reached;  /* levels that were finished: fewer than depth where transitions_max ended the search */
+    uint8_t depth_reached;  /* levels that were finished: fewer than planned where transitions_max ended the search */
     uint16_t nearest_state; /* row of the table nearest to the state's velocity */
     uint16_t path_index;    /* path point nearest to the state (paper), or last one that it has passed (route) */
     uint32_t transitions;   /* transitions evaluated, of all levels */
@@ -118,10 +120,13 @@ typedef struct {
 } fk_plan_t;
 
 /* Choose the next action (the paper's Algorithm 1 with a fixed per-axis metric).
- * Least cost wins, ties take the lowest first action. Branches that cannot win are pruned, so the answer is that of
- * the full tree. Level 1 is searched first, then the full depth, or level after level where transitions_max may cut
- * that; a level that is cut still counts if the best first action of the level before it was finished. Stack: below
- * 2800 bytes.
+ * Least cost wins, ties take the lowest first action.
+ * Branch and bound: branches that cannot win are pruned, so the answer is that of the full tree. Level 1 is searched
+ * first, then the full depth, or level after level where transitions_max may cut that; a level that is cut still counts
+ * if the best first action of the level before it was finished.
+ * Beam search (route, depth 3 and 4): of each level the 12 branches that would cost least if they ended there are
+ * carried on, four levels beyond the depth. A level that transitions_max may cut is not begun.
+ * Stack: below 3700 bytes.
  * @retval FK_OK
  * @retval FK_ERROR_NULL, FK_ERROR_DEPTH, FK_ERROR_COST, FK_ERROR_WEIGHT, FK_ERROR_PATH_COUNT,
  *         FK_ERROR_PATH_POINT, FK_ERROR_NOT_FINITE, FK_ERROR_RANGE in this order of checks */

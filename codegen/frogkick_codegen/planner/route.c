@@ -101,9 +101,10 @@ void fk_route_project(const fk_path_t *path, float stroke_max_m, float along_poi
 }
 
 /* Knots that a search needs: those that its levels can reach, and the look-ahead beyond, up to FK_ROUTE_KNOTS_MAX. */
-static uint32_t fk_route_knots(uint32_t depth, float look_ahead_steps)
+static uint32_t fk_route_knots(uint32_t levels, float look_ahead_steps)
 {
-    const uint32_t reached = FK_ROUTE_BEHIND + FK_ROUTE_AHEAD * depth + 2U; /* at most 52 */
+    const uint32_t reachable = FK_ROUTE_BEHIND + FK_ROUTE_AHEAD * levels + 2U;
+    const uint32_t reached = (reachable < FK_ROUTE_KNOTS_MAX) ? reachable : FK_ROUTE_KNOTS_MAX;
     const uint32_t room = FK_ROUTE_KNOTS_MAX - reached;
 
     return (look_ahead_steps >= (float)room) ? FK_ROUTE_KNOTS_MAX : reached + (uint32_t)look_ahead_steps;
@@ -157,6 +158,7 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
                       const fk_projection_t *projection, fk_route_t *route)
 {
     const uint32_t last = path->count - 2U;
+    const uint32_t levels = (config->depth < FK_BEAM_DEPTH) ? config->depth : config->depth + FK_BEAM_BEYOND;
     const float step_m = stroke_max_m * FK_ROUTE_PER_STEP;
     uint32_t index = projection->segment;
     fk_knot_t *knot = route->knots;
@@ -179,7 +181,7 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
         fk_segment_between(&here, path->x_m[index], path->y_m[index], next_x_m, next_y_m);
         along_m = along_m + here.length_m;
     }
-    route->last = fk_route_knots(config->depth, config->look_ahead_m / step_m) - 1U;
+    route->last = fk_route_knots(levels, config->look_ahead_m / step_m) - 1U;
     end = &route->knots[route->last];
     for (; knot <= end; knot++) {
         while ((along_m > here.length_m) && (index < last)) {

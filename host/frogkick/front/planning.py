@@ -21,13 +21,14 @@ HEADING_MAX_RAD = 4.0 * np.pi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A decision, and the branch of the search tree that it begins.
+    """A decision and what may follow it.
 
     Attributes:
         action: name of the action to do now.
         cost: cost of the branch, as the robot computes it (float32).
-        actions: names along the branch; the first one is ``action``.
-        predicted_pose: (depth, 3) x, y (m), heading (rad), world frame, after each action.
+        actions: ``action``, then what the planner chooses from each predicted pose with the depth that is
+            left.
+        predicted_pose: (depth, 3) x, y (m), heading (rad), world frame, after each of these actions.
         distance_m: distance of the state from the path.
         along_points: position of the state along the path, in points; pass it to the next call.
     """
@@ -57,7 +58,7 @@ class Planner:
 
         Args:
             table: the robot's table or its file.
-            depth: periods to look ahead, 1 to 4; None: the planner's own.
+            depth: of the planner's search, 1 to 4; None: the planner's own.
             planner: planner whose weights are used: "robot" (its TOML file) or "paper".
 
         Raises:

@@ -93,7 +93,7 @@ def replay(
         table: the table to plan with, or its file; None: the default table of the run's robot.
         planner: planner whose weights and depth are used, "robot" or "paper"; None: the run's own if its log
             has them, else the paper's.
-        depth: periods to look ahead, 1 to 4; None: the planner's own.
+        depth: of the planner's search, 1 to 4; None: the planner's own.
         robot: "virtual" (the firmware on the virtual chip) or "pool" (the C core on this computer).
         model: the robot, its name or its TOML file; None: the run's.
         progress: of the decisions: True for a bar, or a function of (done, all).

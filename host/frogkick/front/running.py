@@ -273,7 +273,7 @@ def run(
         world: effects that act in the simulated pool but are in no model, or their TOML file.
         plan: who decides: "onboard" (the robot), "host", or "both" (the robot while the host checks it).
         planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
-        depth: periods to look ahead, 1 to 4; None: the planner's own.
+        depth: of the planner's search, 1 to 4; None: the planner's own.
         learn: estimate the wear of each limb during the run, on the robot or the host, and plan with it. A
             robot continues from its earlier estimate; a run without ``learn`` makes it forget.
         inside: walls to keep off: x, y, x, y of opposite corners, m, or "pool": those of the calibration.

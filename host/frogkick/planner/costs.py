@@ -33,7 +33,10 @@ from numba import njit
 
 from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import BARE, INNER
+from frogkick.core.weights import COSTS
 from frogkick.planner.floats import sincos, wrap_angle
+
+COST_PAPER, COST_ROUTE = range(len(COSTS))
 
 STEPS_PER_STROKE = 8
 """Steps between knots in the table's longest stroke."""
@@ -162,12 +165,14 @@ def project(path: AnyArray, stroke_max: np.float32, begin: np.float32, x: np.flo
 
 
 @njit(**INNER)
-def knot_count(depth: int, look_ahead: np.float32, step: np.float32) -> int:
+def knot_count(levels: int, look_ahead: np.float32, step: np.float32) -> int:
     """Return how many knots a search needs, at most KNOTS_MAX."""
-    room = KNOTS_MAX - (BEHIND + AHEAD * depth + 2)
+    reached = BEHIND + AHEAD * levels + 2
+    if reached >= KNOTS_MAX:
+        return KNOTS_MAX
+    room = KNOTS_MAX - reached
     steps = look_ahead / step
-    beyond = room if steps >= np.float32(room) else int(steps)
-    return BEHIND + AHEAD * depth + 2 + beyond
+    return reached + (room if steps >= np.float32(room) else int(steps))
 
 
 @njit(**INNER)

@@ -1,8 +1,9 @@
-"""The onboard planner's twin, bit for bit (numba): depth-limited branch and bound in float32.
+"""The onboard planner's twin, bit for bit (numba): its decision, and its depth-limited branch and bound.
 
 It is receding-horizon control: each decision searches sequences of actions on the table's model and takes the
 first action of the cheapest one (Huang et al. 2022, Algorithm 1). The bound is the cost so far (Land & Doig
 1960); where the transitions are limited, the depth grows level by level (iterative deepening, Korf 1985).
+With the route cost the larger depths are searched by ``beam``.
 
 It is written from the format and the rules, not from the C: neighbours are found by brute force instead of a
 tree, and the search counts through sequences of actions. The two share the order of float32 operations, the
@@ -27,7 +28,7 @@ a helper changed in another file.
 from __future__ import annotations
 
 from collections import namedtuple
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -36,7 +37,9 @@ from frogkick.core.arrays import AnyArray
 from frogkick.core.compiled import ALLOCATING, BARE, INNER, cached_njit, stamp_of
 from frogkick.core.weights import COSTS, WEIGHTS
 from frogkick.planner import costs
-from frogkick.planner.floats import sincos, wrap_angle
+from frogkick.planner.beam import levels_of, search_beam
+from frogkick.planner.branch import PER_STEP, Search, ended_cost, is_candidate, motion_cost, step
+from frogkick.planner.floats import wrap_angle
 from frogkick.planner.lookup import (
     DYNAMICS,
     TableArrays,
@@ -57,7 +60,6 @@ ERROR_PATH_COUNT = -6
 ERROR_PATH_POINT = -7
 ERROR_COST = -11
 
-COST_PAPER, COST_ROUTE = range(len(COSTS))
 _COSTS = len(COSTS)
 DEPTH_MAX = 4
 PATH_POINTS_MAX = 100
@@ -84,7 +86,6 @@ PLAN_ROW = np.dtype(
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
-_PER_STEP = np.float32(1.0 / costs.STEPS_PER_STROKE)
 
 _typed_by_name: Any = namedtuple
 Settings = _typed_by_name("Settings", ("cost", "transitions_max", *WEIGHTS))
@@ -92,26 +93,6 @@ Settings = _typed_by_name("Settings", ("cost", "transitions_max", *WEIGHTS))
 _WEIGHTS_FROM = 2
 _LEAST = tuple(np.float32(weight.least) for weight in WEIGHTS.values())
 _MOST = tuple(np.float32(weight.most) for weight in WEIGHTS.values())
-
-
-class _Search(NamedTuple):
-    """What a search works on; a row of each array for a level."""
-
-    table: TableArrays
-    path: AnyArray
-    settings: Any
-    knots: AnyArray
-    step: np.float32
-    held: bool  # the robot is far off, and its projection is the last one
-    poses: AnyArray
-    dynamics: AnyArray
-    rows: AnyArray
-    knot: AnyArray
-    place: AnyArray  # arc length along the route, from its first knot
-    sums: AnyArray
-    best: AnyArray  # (2,) int64: first action (-1: none), transitions so far
-    best_cost: AnyArray  # (1,) float32
-    motion: AnyArray  # (3,) float32, of the action under way
 
 
 @njit(**BARE)
@@ -160,61 +141,7 @@ def check(path: AnyArray, settings: Any, depth: int, state: AnyArray, limb_use: 
 
 
 @njit(**INNER)
-def step(pose: AnyArray, motion: AnyArray, after: AnyArray) -> None:
-    """Write the pose after an action: (x, y, wrapped heading) float32; motion (3,) float32, body frame."""
-    sine, cosine = sincos(pose[2])
-    after[0] = pose[0] + (cosine * motion[0] - sine * motion[1])
-    after[1] = pose[1] + (sine * motion[0] + cosine * motion[1])
-    after[2] = wrap_angle(pose[2] + motion[2])
-
-
-@njit(**INNER)
-def motion_cost(search: _Search, level: int, depth: int) -> Any:
-    """Return the stage cost: what the motion from a level to the next one costs."""
-    settings = search.settings
-    after = search.poses[level + 1]
-    if settings.cost == COST_PAPER:
-        factor = _F1 + settings.level_weight * np.float32(depth - 1 - level)
-        weights = (settings.distance_weight_per_m, settings.angle_weight_per_rad, settings.progress_weight)
-        return costs.pose_cost(search.path, *weights, after[0], after[1], after[2]) * factor
-    low = max(0, search.knot[level] - 1)
-    ahead = 0 if search.held else costs.AHEAD
-    high = min(max(search.knot[level], costs.BEHIND if search.held else 0) + ahead, len(search.knots) - 1)
-    knot, place, distance2 = costs.project_on_knots(search.knots, search.step, low, high, after[0], after[1])
-    search.knot[level + 1] = knot
-    search.place[level + 1] = place
-    stroke_max = search.step / _PER_STEP
-    shortfall = stroke_max - min(place - search.place[level], stroke_max)
-    deviation = costs.huber(distance2, settings.soft_distance_m)
-    return settings.distance_weight_per_m * deviation + settings.progress_weight_per_m * shortfall
-
-
-@njit(**INNER)
-def end_cost(search: _Search, level: int, motion: AnyArray) -> Any:
-    """Return the terminal cost: of a branch that ends at a level, reached by a motion (3,)."""
-    settings = search.settings
-    if settings.cost == COST_PAPER:
-        return _F0
-    ahead = _F1 + settings.course_weight_per_m * motion[0]
-    aside = settings.course_weight_per_m * motion[1]
-    sine, cosine = sincos(search.poses[level - 1, 2])
-    turned_sine, turned_cosine = sincos(wrap_angle(motion[2]) + settings.turn_lead * motion[2])
-    end_cosine = cosine * turned_cosine - sine * turned_sine
-    end_sine = sine * turned_cosine + cosine * turned_sine
-    angle = costs.end_angle(
-        search.knots,
-        search.step,
-        search.place[level],
-        search.poses[level],
-        end_cosine * ahead - end_sine * aside,
-        end_sine * ahead + end_cosine * aside,
-        settings.look_ahead_m,
-    )
-    return settings.angle_weight_per_rad * angle
-
-
-@njit(**INNER)
-def is_pruned(search: _Search, first: int, cost: Any) -> bool:
+def is_pruned(search: Search, first: int, cost: Any) -> bool:
     """Whether a branch with this first action and at least this cost can no longer be the best."""
     if cost == search.best_cost[0]:
         return bool(first >= search.best[0])
@@ -222,7 +149,7 @@ def is_pruned(search: _Search, first: int, cost: Any) -> bool:
 
 
 @njit(**INNER)
-def expand(search: _Search, level: int, depth: int, first: int, action: int) -> bool:
+def expand(search: Search, level: int, depth: int, first: int, action: int) -> bool:
     """Expand a node by one action; True where that gives a node at the next level, which is not pruned."""
     search.best[1] += 1
     motion_of(search.table, search.rows[level], search.dynamics[level], action, search.motion)
@@ -236,16 +163,7 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
         dynamics_after(search.table, search.rows[level], search.dynamics[level], action, after)
         search.rows[level + 1] = find_row(search.table, after)
         return True
-    cost = cost + end_cost(search, depth, search.motion)
-    if search.settings.cost == COST_ROUTE:
-        here, before = search.poses[depth], search.poses[depth - 1]
-        knot, place = search.knot[depth], search.place[depth]
-        glides = costs.glide_cost(
-            search.settings, search.knots, search.step, knot, place, here, before, search.motion[2]
-        )
-        if search.settings.wall_weight_per_m > _F0:
-            glides = glides + costs.wall_cost(search.settings, here, before)
-        cost = cost + glides
+    cost = ended_cost(search, depth, cost)
     if not is_pruned(search, first, cost):
         search.best_cost[0] = cost
         search.best[0] = first
@@ -253,7 +171,7 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
 
 
 @njit(**ALLOCATING)
-def search_branch(search: _Search, depth: int, first: int, order: AnyArray) -> bool:
+def search_branch(search: Search, depth: int, first: int, order: AnyArray) -> bool:
     """Search the sequences of ``depth`` actions that begin with one; True where the limit stops it.
 
     ``order`` (actions,) is that of the further actions.
@@ -301,16 +219,8 @@ def second_level(limit: int, depth: int, actions: int) -> int:
     return max(2, depth) if limit == 0 or limit >= most else 2
 
 
-@njit(**INNER)
-def is_candidate(search: _Search, moves: bool, action: int) -> bool:
-    """Whether an action may be the first: resting may not, from rest, unless there is nothing else."""
-    if moves or search.settings.cost != COST_ROUTE or not np.any(search.table.fires):
-        return True
-    return bool(np.any(search.table.fires[action]))
-
-
 @njit(**ALLOCATING)
-def search_levels(search: _Search, depth: int, moves: bool) -> Any:
+def search_levels(search: Search, depth: int, moves: bool) -> Any:
     """Search level after level; leave cost and first action in ``search``. Return (action, depth reached)."""
     actions = action_count(search.table)
     root_cost = np.full(actions, np.inf, dtype=np.float32)
@@ -370,10 +280,11 @@ def plan_one(
     if row.status != OK:
         return
     stroke_max = costs.stroke_scale(table.stroke_max_m[0])
-    spacing = stroke_max * _PER_STEP
-    is_route = settings.cost == COST_ROUTE
+    spacing = stroke_max * PER_STEP
+    is_route = settings.cost == costs.COST_ROUTE
+    levels = levels_of(settings, depth)
     knots = np.zeros(
-        (costs.knot_count(depth, settings.look_ahead_m, spacing) if is_route else 1, 4), np.float32
+        (costs.knot_count(levels, settings.look_ahead_m, spacing) if is_route else 1, 4), np.float32
     )
     held = False
     if is_route:
@@ -386,7 +297,7 @@ def plan_one(
         row.path_index, distance2 = costs.nearest_point(path[0], path[1], state[0], state[1])
         row.distance_m = np.sqrt(distance2)
         row.along_points = np.float32(row.path_index)
-    search = _Search(
+    search = Search(
         table,
         path,
         settings,
@@ -413,7 +324,10 @@ def plan_one(
         search.dynamics[0, 3 + limb] = limb_use[limb]
     search.rows[0] = find_row(table, search.dynamics[0])
     moves = costs.may_rest(settings, state, spacing, table.period_s[0])
-    action, row.depth_reached = search_levels(search, depth, moves)
+    if levels > depth:
+        action, row.depth_reached = search_beam(search, levels, moves)
+    else:
+        action, row.depth_reached = search_levels(search, depth, moves)
     row.action = action
     row.nearest_state = search.rows[0]
     row.transitions = search.best[1]

@@ -15,14 +15,14 @@ import numpy.typing as npt
 from frogkick.core.arrays import AnyArray, Float32, Int64, UInt16
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.weights import COSTS, WEIGHTS, Weights
-from frogkick.planner import kernel
+from frogkick.planner import costs, kernel
 from frogkick.planner.kernel import PLAN_ROW
 from frogkick.planner.lookup import arrays_of
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 
 PLAN_FIXED_US = 600
-TRANSITION_NS = 22000
+TRANSITION_NS = 26000
 """Time of a decision on the chip: a fixed part, and at most so much for each transition (fk_robot.h)."""
 
 STATUS_TEXT = {
@@ -59,8 +59,8 @@ class PathLike(Protocol):
 
 
 class Cost(enum.IntEnum):
-    PAPER = kernel.COST_PAPER  # Huang et al. 2022, Eq. 19
-    ROUTE = kernel.COST_ROUTE  # frogkick.planner.costs
+    PAPER = costs.COST_PAPER  # Huang et al. 2022, Eq. 19
+    ROUTE = costs.COST_ROUTE  # frogkick.planner.costs
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class PlanConfig(Weights):
     """Cost, weights and depth; the defaults are the paper's. Weights of the other cost are only checked.
 
     Attributes:
-        depth: depth of the search, 1 to 4.
+        depth: of the search, 1 to 4; with the route cost 3 and 4 are a beam search (``beam``).
         cost: a ``Cost``.
         transitions_max: limit of the evaluated transitions; 0: none. The first level is always finished.
     """

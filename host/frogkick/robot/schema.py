@@ -204,7 +204,7 @@ else:
         ),
         **{name: _weight(name, weight) for name, weight in WEIGHTS.items()},
         plan_time_s=(float, key("s that a decision may take on the robot; 0: no limit", 0.0, ge=0.0, le=1.0)),
-        depth=(int, key("levels to look ahead, 1 to 4", ge=1, le=4)),
+        depth=(int, key("levels to look ahead, 1 to 4; route: from 3 on a beam of four more", ge=1, le=4)),
     )
 
 

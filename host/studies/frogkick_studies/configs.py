@@ -314,8 +314,8 @@ class Shared(Config):
     """Fit one water to measured swims and recorded runs: alloys and builds differ, the water does not.
 
     Alloys have an amplitude and a time scale, builds an offset, each with a prior; what is not known is
-    integrated over. Groups of swims and recorded runs are left out in turn: swims by the water of swims and
-    by that of recorded runs, runs by their own water, by that of swims, and by one for both.
+    integrated over. Groups of swims and recorded runs are left out in turn and predicted by their own water,
+    by one for both, and runs also by that of the swims.
     """
 
     data_dir: Annotated[Path, Argument(help="Folder of the paper's data: exp/, profile/, control/.")]

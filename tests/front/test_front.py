@@ -113,7 +113,7 @@ def test_a_robot_is_one_line_and_a_picture(robot: fk.Robot, tmp_path: Path) -> N
 
 
 @from_ci
-def test_a_default_table_is_that_of_the_numerical_packages(
+def test_a_default_table_is_that_of_the_numerical_packages_and_wear_gains(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path))
@@ -121,6 +121,10 @@ def test_a_default_table_is_that_of_the_numerical_packages(
     assert tables_module.default_tables("frog2022", 1, "visited") == made
     monkeypatch.setattr(tables_module, "numerical_versions", lambda: "numpy 0.1\n")
     assert tables_module.default_tables("frog2022", 1, "visited") != made
+    monkeypatch.setattr(tables_module, "_is_valid", lambda _target: True)  # the names alone
+    other = tables_module.default_tables("frog2022", 1, "visited")
+    monkeypatch.setattr("frogkick.library.wear.GAINS", (0.7, 0.2))
+    assert tables_module.default_tables("frog2022", 1, "visited") != other
 
 
 @from_ci

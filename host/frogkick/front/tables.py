@@ -25,7 +25,7 @@ from frogkick.core.files import cache_folder, existing_file, one_at_a_time, writ
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.effects.registry import own_code
 from frogkick.front.html import page_of
-from frogkick.library import RECORD_S, Library, library_info
+from frogkick.library import RECORD_S, Library, library_info, wear
 from frogkick.library.fitting import SAMPLING, SEED, STATES
 from frogkick.robot import Robot, built_in_robots, load_robot
 from frogkick.tables.image import Tables, open_image, read_image
@@ -144,7 +144,7 @@ def default_tables(robot: Robot | str, states: int | None = None, sampling: str 
     """
     robot = load_robot(robot)
     states = STATES if states is None else states
-    made_of = f"{_source_sha256()} {states} {SEED} {sampling}\n{numerical_versions()}".encode()
+    made_of = f"{_source_sha256()} {states} {SEED} {sampling} {wear.GAINS}\n{numerical_versions()}".encode()
     key = hashlib.sha256(robot.sha256 + made_of + own_code(robot)).hexdigest()[:24]
     target = cache_folder("tables") / f"{robot.id}-{key}.fkt"
     if _is_valid(target):

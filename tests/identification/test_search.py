@@ -150,28 +150,28 @@ def test_effects_that_do_the_same_are_named_together() -> None:
 
 
 @pytest.mark.parametrize(
-    ("searched", "related", "far", "many", "taken"),
+    ("searched", "calibrated", "far", "many", "taken"),
     [
         (FOUND, FOUND, False, False, "search"),
         (NOTHING, FOUND, False, False, "search"),
-        (UNEXPLAINED, FOUND, False, False, "relative"),
-        (PARTLY, FOUND, False, False, "relative"),
+        (UNEXPLAINED, FOUND, False, False, "calibrated"),
+        (PARTLY, FOUND, False, False, "calibrated"),
         (FOUND, PARTLY, True, False, "part"),
-        (PARTLY, PARTLY, True, False, "relative"),
-        (FOUND, FOUND, True, False, "relative"),
+        (PARTLY, PARTLY, True, False, "calibrated"),
+        (FOUND, FOUND, True, False, "calibrated"),
         (FOUND, UNEXPLAINED, True, False, "part"),
-        (UNEXPLAINED, UNEXPLAINED, True, False, "relative"),
-        (FOUND, FOUND, False, True, "relative"),
+        (UNEXPLAINED, UNEXPLAINED, True, False, "calibrated"),
+        (FOUND, FOUND, False, True, "calibrated"),
         (FOUND, UNEXPLAINED, False, True, "part"),
-        (UNEXPLAINED, UNEXPLAINED, False, True, "relative"),
+        (UNEXPLAINED, UNEXPLAINED, False, True, "calibrated"),
     ],
 )
-def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
-    monkeypatch: pytest.MonkeyPatch, searched: str, related: str, far: bool, many: bool, taken: str
+def test_a_calibrated_start_that_does_not_explain_all_is_held_against_a_search(
+    monkeypatch: pytest.MonkeyPatch, searched: str, calibrated: str, far: bool, many: bool, taken: str
 ) -> None:
     """A robot at a wall is as far off as a hull from its drawing."""
     rows = np.ones(choice.SEARCHED_MOST + many, dtype=bool)
-    verdicts = {"search": searched, "part": searched, "relative": related}
+    verdicts = {"search": searched, "part": searched, "calibrated": calibrated}
     off = PredictionError(*(2.0 * np.array(choice.FAR) if far else 0.5 * np.array(choice.FAR)).tolist(), 10)
     near = PredictionError(0.5 * off.position_rmse_m, 0.5 * off.heading_rmse_rad, 10)
 
@@ -182,7 +182,7 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
     monkeypatch.setattr(choice, "nominal_fit", lambda *_args: (Data((), rows), None))
     monkeypatch.setattr(choice, "search", named("search"))
     monkeypatch.setattr(choice, "_search_in_part", named("part"))
-    monkeypatch.setattr(choice, "_relative", named("relative"))
+    monkeypatch.setattr(choice, "_calibrated", named("calibrated"))
     monkeypatch.setattr(choice, "_verdict", lambda found: verdicts[found])
     monkeypatch.setattr(choice, "_scored", lambda _found: Scored(off, near, near))
     given: Any = choice.found_in([], robot(), [], lambda *_args: None)

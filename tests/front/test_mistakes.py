@@ -210,6 +210,10 @@ def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
     ("call", "message"),
     [
         (lambda _: fk.sweep(egain_percent=10), "sweep: egain_percent is 10, give Sequence[float] | None"),
+        (
+            lambda _: fk.sweep(egain_percent=np.array(10.0)),
+            "sweep: egain_percent is array(10.), give Sequence",
+        ),
         (lambda _: fk.scan("x"), "scan: seconds is 'x', give float"),
         (lambda of: of["Library"].part([0]), "Library.part: states is [0], give Int64"),
         (lambda _: fk.Path(5), "Path: missing a required argument: 'y_m'"),
@@ -239,7 +243,7 @@ def test_an_argument_of_another_type_is_named(
         (float, (1, 1.5, np.float32(1)), (True, "1", None)),
         (float | None, (None, 1), ("",)),
         (bool, (True, np.bool_(False)), (0, "False", None)),
-        (Sequence[float], ([1], (1.5,), np.ones(3)), (1, "1", [None], {1: 2})),
+        (Sequence[float], ([1], (1.5,), np.ones(3)), (1, "1", [None], {1: 2}, np.array(1.0))),
         (Sequence[str] | str, ("a", ["a"]), ([1], 1)),
         (Mapping[str, Any], ({},), ([],)),
         (ArrayLike, (1, [1], np.ones(2)), (None, NO_TYPE, "x")),

@@ -26,7 +26,8 @@ def typed(called: Called) -> Called:
 
     A switch or a function is checked before the call: any text is true, even 'False', and a callback is
     called late. Any other argument is only looked at if the call fails by an error that is not frogkick's:
-    what works stays allowed, and what a function itself says of a value is said as before.
+    what works stays allowed, and a function's own words about a value reach the caller. As the body of a
+    generator runs after the call, all arguments of one are checked before.
 
     Of a class, this holds for its constructor and its public methods.
 
@@ -48,7 +49,6 @@ def typed(called: Called) -> Called:
 
 def _checked(function: Callable[..., Any], shown: str) -> Callable[..., Any]:
     signature = inspect.signature(function)
-    # The body of a generator runs after the call.
     early_only = inspect.isgeneratorfunction(inspect.unwrap(function))
 
     @functools.cache
@@ -144,6 +144,7 @@ def _fits_one(value: Any, hint: Any) -> bool:
         rows = hasattr(value, "__len__") and hasattr(value, "__getitem__")  # numpy's arrays are no Sequence
         return (
             rows
+            and getattr(value, "ndim", 1) > 0  # an array of one number without a row has no length
             and not isinstance(value, str | bytes | Mapping)
             and all(fits(each, *inner) for each in value)
         )

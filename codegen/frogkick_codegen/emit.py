@@ -10,7 +10,7 @@ import os
 import shlex
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
@@ -238,6 +238,7 @@ def swap_in(out_dir: Path, files: dict[str, bytes]) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     except OSError as error:
+        _remove_empty(made)
         raise InputError(f"cannot write {str(out_dir)!r}: {error.strerror}; choose another --out") from error
     fresh, old = work / "new", work / "old"
     try:
@@ -259,9 +260,14 @@ def swap_in(out_dir: Path, files: dict[str, bytes]) -> None:
         raise InputError(f"cannot write {str(out_dir)!r}: {error.strerror}; choose another --out") from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
-        for place in () if target.exists() else made:
-            with suppress(OSError):  # something else is in it
-                place.rmdir()
+        if not target.exists():
+            _remove_empty(made)
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):  # something else is in it, or it is not there
+            folder.rmdir()
 
 
 def _refuse_foreign(target: Path, given: Path, names: set[str]) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import re
 import subprocess
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -258,3 +260,15 @@ def test_commands_lose_this_machine_s_folders(command: str, portable: str) -> No
 def test_commands_that_would_break_a_comment_are_refused(command: str) -> None:
     with pytest.raises(InputError, match="command"):
         portable_command(command)
+
+
+def test_a_disk_without_room_for_a_folder_keeps_none_of_those_above(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(**_given: object) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        emit(IMAGE, tmp_path / "a" / "b" / "out", COMMAND)
+    assert not list(tmp_path.iterdir())

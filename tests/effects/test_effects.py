@@ -281,6 +281,7 @@ HUGE = 10**400
             f'[[effect]]\nname = "law"\nforward_n = "a"\nparameters.a = {{unit = "N", low = -{HUGE}}}\n',
             "low of an effect is -100000000..., a number beyond",
         ),
+        ('[[effect]]\nname = "law"\non = ["flow"]\n', r"a law on \['flow'\].*: give wrench"),
         ("[[effects]]\n", "has effects: a world has"),
         ("[[effect]\n", "cannot be read as TOML"),
         ('[[effect]]\nfile = "mine.py"\n', "has no effect class None"),

@@ -98,7 +98,7 @@ class Law(Effect):
         Raises:
             InputError: an unknown key or name, an invalid formula, or a unit that does not fit.
         """
-        if on not in CHANNELS:
+        if not isinstance(on, str) or on not in CHANNELS:
             raise InputError(f"a law on {on!r}{nearest_name(str(on), CHANNELS)}: give {', '.join(CHANNELS)}")
         self.on, self.limb, self._title = on, limb, str(title)
         declared = {} if parameters is None else parameters

@@ -45,7 +45,7 @@ Planner = Annotated[
     PlannerName,
     "Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and depth 1.",
 ]
-Depth = Annotated[int | None, "Search depth in strokes; default: the planner's own.", With(1, 4)]
+Depth = Annotated[int | None, "Depth of the planner's search; default: the planner's own.", With(1, 4)]
 Key = Annotated[
     Path | None, "Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
 ]

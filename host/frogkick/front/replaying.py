@@ -39,7 +39,7 @@ class Replayed:
 
     Attributes:
         result: actions of both sides and of the run, and the differences.
-        depth: search depth in periods.
+        depth: of the planner's search, 1 to 4.
     """
 
     result: Replay

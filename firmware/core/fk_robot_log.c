@@ -134,9 +134,9 @@ int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uin
     }
     fk_log_command_t command;
     fk_log_command_unpack(payload, &command);
-    fk_log_answer_t record = {FK_STATUS_OK, 0u, robot->log->begin, robot->log->end, robot->log->lost};
+    fk_log_answer_t reply = {FK_STATUS_OK, 0u, robot->log->begin, robot->log->end, robot->log->lost};
     uint32_t count = fk_log_read(robot->log, command.offset, answer + FK_LOG_ANSWER_BYTES, FK_LOG_ANSWER_ROWS_MAX,
-                                 &record.offset);
-    fk_log_answer_pack(answer, &record);
+                                 &reply.offset);
+    fk_log_answer_pack(answer, &reply);
     return (int32_t)(FK_LOG_ANSWER_BYTES + count);
 }

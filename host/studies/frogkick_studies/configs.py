@@ -156,14 +156,15 @@ class Twin(Config):
 class Ceiling(Config):
     """Compare one planner in the pool with three models: full nearest table, the robot's table and the rods.
 
-    Each further level of --depth multiplies the time that the rods take by the number of actions.
+    The rods are asked for all sequences of actions, so the planner looks one or two strokes ahead: from depth
+    3 on it is a beam search, whose seven levels have too many.
     """
 
     library: LibraryArgument
     tables: OwnTableOption = None
     seeds: Annotated[int, Option(min=1, max=1000, help="Runs of each, by noise and start.")] = 8
     depth: Annotated[
-        list[int] | None, Option(min=1, max=3, help="Strokes to look ahead; may be repeated.")
+        list[int] | None, Option(min=1, max=2, help="Strokes to look ahead; may be repeated.")
     ] = None
     simulated_time: Annotated[float, Option(help="Longest pool time of a run, s.")] = 120.0
     workers: int = 0

@@ -104,7 +104,7 @@ def follow_paths(
     Args:
         robot: the robot, with its planner's cost and weights.
         images: NEAREST and AFFINE -> table image. The estimator uses the affine one.
-        depths: search depths, 1 to 3; with the rods each level takes 9 times as long.
+        depths: search depths, 1 or 2: a beam search looks further than the rods are asked.
         seeds: number of seeds, of the camera's noise and of the start.
         limit_s: time limit of a run in pool time, s.
 

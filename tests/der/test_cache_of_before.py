@@ -24,7 +24,7 @@ print(total(Pair(1.0, 2.0)))
 
 @from_ci
 @pytest.mark.parametrize(
-    ("decorator", "returncode"), [("kept()", 0), ("__import__('numba').njit(cache=True)", 1)]
+    ("decorator", "returncode"), [("cached_njit()", 0), ("__import__('numba').njit(cache=True)", 1)]
 )
 def test_types_that_have_moved(tmp_path: Path, decorator: str, returncode: int) -> None:
     """The second case shows what numba does by itself: this test goes with it."""

@@ -235,7 +235,7 @@ def candidates_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
         for index, (axes, tried) in enumerate(zip(panels, iterations, strict=True), 1):
             _iteration(axes, tried)
             axes.set_title(f"Iteration {index}")
-        panels[-1].set_xlabel("gain: fall of -2 log likelihood on the training runs")
+        panels[-1].set_xlabel("gain: fall of -2 log likelihood, training runs (1)")
         for axes in panels:
             axes.set_xscale("symlog", linthresh=10.0)
             axes.set_xlim(0.0, 3.0 * most)

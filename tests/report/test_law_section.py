@@ -132,7 +132,7 @@ def test_the_page_says_how_a_law_is_confirmed_or_refuted(tmp_path: Path) -> None
     assert planned is not None and planned.between == ("spring", "no spring"), "nothing else is open"
     found = Identification(outcome)
     assert len(found.plot().axes) == 2
-    with pytest.raises(InputError, match="law 1: 1 were found"):
+    with pytest.raises(InputError, match="law is 1, but 1 were found"):
         found.plot(1)
     write_identify_page(tmp_path / "what.html", outcome)
     text = self_contained((tmp_path / "what.html").read_text(encoding="utf-8")).text

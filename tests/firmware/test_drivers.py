@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import random
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -230,14 +231,8 @@ STOPPED_FIRST = (
 )
 
 
-@pytest.mark.parametrize(
-    ("what", "changes"),
-    [("start", SOFTWARE), ("off", STOPPED_FIRST)],
-    ids=["gates by software", "the end stopped before gates are low"],
-)
-def test_a_pulse_that_leans_on_the_core_is_found_out(
-    what: str, changes: tuple[tuple[str, str], ...], tmp_path: Path
-) -> None:
+def chip_with_changed_pulse(tmp_path: Path, changes: Iterable[tuple[str, str]]) -> VirtualChip:
+    """Return a booted chip whose pulse.c has other lines, each of which occurs once."""
     text = (BENCH / "pulse.c").read_text(encoding="utf-8")
     for old, new in changes:
         assert text.count(old) == 1
@@ -248,21 +243,27 @@ def test_a_pulse_that_leans_on_the_core_is_found_out(
     chip = VirtualChip(build(sources, tmp_path / "echo.elf", drivers=False))
     chip.run_until(BOOT_US)
     chip.pin_edges()
+    return chip
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [("start", SOFTWARE), ("off", STOPPED_FIRST)],
+    ids=["gates by software", "the end stopped before gates are low"],
+)
+def test_a_pulse_that_leans_on_the_core_is_found_out(
+    what: str, changes: tuple[tuple[str, str], ...], tmp_path: Path
+) -> None:
+    chip = chip_with_changed_pulse(tmp_path, changes)
     with pytest.raises(AssertionError):
         stalled(chip, what, 2_000)
 
 
 def test_no_gate_goes_high_after_a_fault(tmp_path: Path) -> None:
     """Even if the processor faults after it enabled a pulse's start, and before the pulse begins."""
-    text, wait = (BENCH / "pulse.c").read_text(encoding="utf-8"), "    while (fk_time_now_us() < begin_us"
-    assert text.count(wait) == 1
-    text = text.replace(wait, "    extern void fk_fault(void);\n    fk_fault();\n" + wait)
-    (tmp_path / "pulse.c").write_text(text, encoding="utf-8")
-    others = [BENCH / name for name in DRIVERS if name != "pulse.c"]
-    sources = [Path(__file__).with_name("driver_echo.c"), tmp_path / "pulse.c", *others]
-    chip = VirtualChip(build(sources, tmp_path / "echo.elf", drivers=False))
-    chip.run_until(BOOT_US)
-    chip.pin_edges()
+    wait = "    while (fk_time_now_us() < begin_us"
+    fault = "    extern void fk_fault(void);\n    fk_fault();\n"
+    chip = chip_with_changed_pulse(tmp_path, [(wait, fault + wait)])
     chip.send(pulse_command(1, 0b0110, 1_000), chip.time_us)
     chip.run_until(chip.time_us + 5_000)
     assert chip.pin_edges() == []

@@ -49,7 +49,7 @@ from frogkick_studies.steady import (
     groupings,
     tables_of,
 )
-from frogkick_studies.water import DAMPING, quietest, recorded, started
+from frogkick_studies.water import DAMPING, Joint, quietest, recorded, started
 
 STEPS = 3  # of a fit to runs, which starts from calibrated values
 
@@ -121,20 +121,6 @@ class Informed(GaussNewton):
         return self.model
 
 
-@dataclass(frozen=True)
-class RunsFit:
-    """All numbers of the recorded robot, fitted to its runs with some knowledge of the water.
-
-    Attributes:
-        fitted, left_out: errors one period ahead on all runs, and on each by the fit without it.
-        values: effect and parameter -> value, of those that are not nominal.
-    """
-
-    fitted: PredictionError
-    left_out: PredictionError
-    values: Mapping[str, float]
-
-
 def fit_runs(
     robot: Robot,
     water: tuple[Sequence[Free], Sequence[Table]],
@@ -142,7 +128,7 @@ def fit_runs(
     *,
     prior: Estimate | None = None,
     held: bool = False,
-) -> tuple[RunsFit, Estimate]:
+) -> tuple[Joint, Estimate]:
     """Fit the recorded robot; return the fit, and what its runs alone say of the shared numbers there.
 
     Args:
@@ -197,7 +183,7 @@ def fit_runs(
         for parameter, value in zip(term.parameters, term.values, strict=True)
     ]
     values = {f"{term.title} {p.name}": value for term, p, value in flat if value != p.nominal}
-    found = RunsFit(PredictionError.of(every), PredictionError.of(np.concatenate(ends)), values)
+    found = Joint(PredictionError.of(every), PredictionError.of(np.concatenate(ends)), values)
     return found, Estimate(at[chosen] / width, covariance)
 
 
@@ -213,7 +199,7 @@ class Row:
 
     name: str
     swims: Mapping[str, SwimsFit]
-    runs: Mapping[str, RunsFit]
+    runs: Mapping[str, Joint]
     unseen: Sequence[Interval]
 
 

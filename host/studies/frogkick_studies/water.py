@@ -135,7 +135,7 @@ def _factor(speeds: Float64, measured: Float64) -> float:
 
 @dataclass(frozen=True)
 class Joint:
-    """All effects fitted together.
+    """All effects, or all numbers of a robot and its water, fitted together to recorded runs.
 
     Attributes:
         fitted, left_out: errors one period ahead on all runs, and on each by the fit without it.

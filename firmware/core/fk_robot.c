@@ -161,6 +161,7 @@ static void decide(fk_robot_t *robot)
 
     int32_t status = fk_estimator_at(&robot->estimator, robot->next_decision_us, &estimate);
     if (status == FK_STATUS_OK) {
+        fk_track_end_period(&robot->estimator.track, robot->next_decision_us);
         if (robot->coming.count != 0u) {
             fk_robot_use_coming(robot);
             fk_follow_change(&robot->follow, &robot->tables, &robot->path, estimate.state.x_m, estimate.state.y_m);

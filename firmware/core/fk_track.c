@@ -336,6 +336,16 @@ static void move_newest(fk_track_t *track, uint64_t at_us)
     track->time_us[newest] = at_us;
 }
 
+void fk_track_end_period(fk_track_t *track, uint64_t at_us)
+{
+    const uint32_t latest = track->count - 2u;
+    if (track->prediction_valid != 0u && track->coasted[latest] == 0u &&
+        at_us >= track->time_us[latest] + FK_PERIOD_LEAST_US) {
+        learn(track);
+        track->prediction_valid = 0u; /* once for each period */
+    }
+}
+
 /* Whether the current period was taken as rest only because the action that begins at at_us was not known yet. */
 static int32_t coasted_too_soon(const fk_track_t *track, uint64_t at_us)
 {
@@ -363,9 +373,7 @@ void fk_track_act(fk_track_t *track, uint64_t at_us, uint8_t action)
     if (at_us < track->time_us[latest] + FK_PERIOD_LEAST_US) {
         --track->count;
     } else {
-        if (track->prediction_valid != 0u && track->coasted[latest] == 0u) {
-            learn(track);
-        }
+        fk_track_end_period(track, at_us);
         if (at_us != track->time_us[latest + 1u]) {
             move_newest(track, at_us);
         }

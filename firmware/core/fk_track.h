@@ -41,7 +41,7 @@ typedef struct {
     uint8_t fixes[FK_INSTANTS];    /* accepted within that period; 255: or more */
     uint8_t count;                 /* instants: 0 (no state is known) or 2 to FK_INSTANTS */
     uint8_t learned;               /* periods from which the process noise was adapted; 3: or more */
-    uint8_t prediction_valid;      /* 1: `predicted` was computed from a known state, so its error says something */
+    uint8_t prediction_valid;      /* 1: `predicted` was computed from a known state, and its error is not learned from yet */
     uint8_t resting_action;        /* first action that fires no limb; tables->actions where there is none */
 } fk_track_t;
 
@@ -67,6 +67,11 @@ void fk_track_begin(fk_track_t *track, uint64_t at_us);
 
 /* An action begins at at_us, at most FK_COAST_US after the newest instant, which moves to that time. */
 void fk_track_act(fk_track_t *track, uint64_t at_us, uint8_t action);
+
+/* Learn from the current period, which the next action will end at at_us: adapt the process noise and the estimate of
+ * wear. A decision calls it before it plans, so that it plans with what the last stroke has shown; fk_track_act() does
+ * it otherwise. The track must have states. */
+void fk_track_end_period(fk_track_t *track, uint64_t at_us);
 
 /* Restart from this pose alone; actions and limb use are kept. at_us: not before the oldest instant. */
 void fk_track_reset_pose(fk_track_t *track, uint64_t at_us, const float *pose);

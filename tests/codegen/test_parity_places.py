@@ -209,9 +209,12 @@ def test_a_loop_has_what_makes_estimates_hard(built: Built) -> None:
 LOOP_MUTATIONS = {
     "weight of a period": ("fk_track.c", "0.25f, 0.2f}", "0.25f, 0.21f}"),
     "what a limb must explain": ("fk_wear.c", "FK_WEAR_PENALTY 9.0f", "FK_WEAR_PENALTY 60.0f"),
+    "a decision knows nothing of the stroke before": (
+        "fk_robot.c", "fk_track_end_period(&robot->estimator.track, robot->next_decision_us);", "",
+    ),
     "a duplicate fix counts twice": ("fk_estimator.c", "return FK_STATUS_DOUBLE;", "break;"),
     "a fix is stale earlier": ("fk_estimator.h", "FK_FIX_STALE_US 500000", "FK_FIX_STALE_US 300000"),
-}
+}  # fmt: skip
 
 
 @from_ci

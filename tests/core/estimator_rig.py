@@ -40,7 +40,7 @@ def table(name: str) -> tuple[bytes, Tables]:
 
 
 class CEstimator:
-    """The estimator in C, with the twin's three methods."""
+    """The estimator in C, with the twin's methods."""
 
     def __init__(self, name: str = "usual", made: Any = None) -> None:
         self._core = core() if made is None else made
@@ -61,6 +61,9 @@ class CEstimator:
 
     def learn(self, learn: int) -> None:
         self._core.fk_test_estimator_learn(self._memory, learn)
+
+    def end_period(self, at_us: int) -> None:
+        self._core.fk_test_estimator_end_period(self._memory, at_us)
 
     def at(self, at_us: int) -> tuple[bytes, tuple[int, ...]] | None:
         state = FFI.from_buffer("float[]", self._state, require_writable=True)
@@ -101,6 +104,10 @@ class Twin:
         if found is None:
             return None
         return found.state.tobytes(), (found.fix_sequence, found.fixes, *map(int, found.limb_use))
+
+    def end_period(self, at_us: int) -> None:
+        if self._twin.at(at_us) is not None:
+            self._twin.track.end_period(at_us)
 
     def inside(self) -> tuple[bytes, tuple[int, ...]]:
         track = self._twin.track
@@ -178,7 +185,7 @@ def stream(seed: int) -> Stream:
         action = int(rng.integers(0, len(ACTION_ROWS) + 1))
         asked_us = at_us + pick(rng, [0, 0, 15_000, 160_000, 350_000])
         if rng.random() < 0.8:
-            events.append((asked_us, ("at", at_us, None, 0)))
+            events += [(asked_us, (what, at_us, None, 0)) for what in ("at", "end_period")]
         if rng.random() < 0.9:
             events.append((asked_us, ("act", at_us, action, 0)))
         if rng.random() < 0.1:  # refused, or another instead
@@ -224,7 +231,7 @@ def _told(name: str, given: Swim, more: list[tuple[int, tuple[str, int, Any, int
     """What a robot is told that swims like this, and more, each at its time."""
     fixes = [(arrival_us, ("fix", time_us, pose, k)) for arrival_us, time_us, pose, k in on_time(given)]
     acts = list(zip(given.starts_us, given.actions, strict=True))
-    asked = [(time_us, ("at", time_us, None, 0)) for time_us, _ in acts]
+    asked = [(time_us, (what, time_us, None, 0)) for time_us, _ in acts for what in ("at", "end_period")]
     acted = [(time_us, ("act", time_us, action, 0)) for time_us, action in acts]
     every: list[tuple[int, tuple[str, int, Any, int]]] = [*fixes, *asked, *acted, *more]
     return Stream(name, [event for _, event in sorted(every, key=lambda row: row[0])])
@@ -240,6 +247,8 @@ def answers(life: Stream, estimator: CEstimator | Twin) -> list[object]:
             estimator.act(time_us, given)
         elif what == "learn":
             estimator.learn(given)
+        elif what == "end_period":
+            estimator.end_period(time_us)
         else:
             said.append(("at", estimator.at(time_us)))
     return [*said, estimator.inside()]

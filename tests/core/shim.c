@@ -18,6 +18,7 @@ int32_t fk_test_estimator_init(fk_test_estimator_t *test, const uint8_t *image, 
 int32_t fk_test_estimator_add(fk_test_estimator_t *test, uint64_t capture_us, const float *pose, uint16_t sequence);
 void fk_test_estimator_act(fk_test_estimator_t *test, uint64_t at_us, uint8_t action);
 int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *state, uint32_t *numbers);
+void fk_test_estimator_end_period(fk_test_estimator_t *test, uint64_t at_us);
 void fk_test_estimator_learn(fk_test_estimator_t *test, uint8_t learn);
 uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint32_t *counts);
 void fk_test_estimator_spoil(fk_test_estimator_t *test, uint32_t speed, float value);
@@ -147,6 +148,15 @@ int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *s
         }
     }
     return error;
+}
+
+/* As a decision does that has an estimate. */
+void fk_test_estimator_end_period(fk_test_estimator_t *test, uint64_t at_us)
+{
+    fk_estimate_t estimate;
+    if (fk_estimator_at(&test->estimator, at_us, &estimate) == 0) {
+        fk_track_end_period(&test->estimator.track, at_us);
+    }
 }
 
 void fk_test_estimator_learn(fk_test_estimator_t *test, uint8_t learn)

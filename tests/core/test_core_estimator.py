@@ -81,6 +81,7 @@ MUTATIONS = {
     "current period": ("fk_track.c", "from > 0u && at_us < track->time_us[from]",
                          "from > 0u && at_us <= track->time_us[from]"),
     "learning from an unknown state": ("fk_track.c", "track->prediction_valid != 0u && track", "track"),
+    "learning twice from a period": ("fk_track.c", "track->prediction_valid = 0u; /* once", "/* once"),
     "fading": ("fk_wear.c", "FK_WEAR_FADING 0.96f", "FK_WEAR_FADING 0.961f"),
     "penalty": ("fk_wear.c", "FK_WEAR_PENALTY 9.0f", "FK_WEAR_PENALTY 8.0f"),
     "outlier": ("fk_wear.c", "FK_WEAR_OUTLIER 8.0f", "FK_WEAR_OUTLIER 10.0f"),

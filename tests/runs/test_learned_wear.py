@@ -112,6 +112,15 @@ def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
     assert again["mismatches"] == 0 and again["agreement_with_recorded"] == 1.0
 
 
+@pytest.mark.parametrize("plan", ["onboard", "host"])
+def test_a_decision_knows_what_the_stroke_before_it_has_shown(table: Path, tmp_path: Path, plan: str) -> None:
+    world = tmp_path / "gone.toml"
+    world.write_text(WORN.replace("0.65", "0.3"))
+    run = fk.run(table, "line", robot="pool", plan=plan, world=world, time_limit_s=5.0, learn=True)
+    lost = run.log.decisions.extra["lost"]
+    assert not lost[0].any() and lost[1, 0] > 0.3 * LOST_MAX and not lost[1, 1:].any()
+
+
 def straight(filt: WearFilter, lost: list[float], current: list[float], periods: int, seed: int) -> None:
     """Periods of a robot that swims along the x axis with an action that fires all limbs."""
     tables = filt.tables.worn([0] * filt.tables.limbs)

@@ -182,13 +182,24 @@ class Track:
         if at_us < self.instants[-2].time_us + PERIOD_LEAST_US:
             self._undo()
         else:
-            if self._prediction_valid and not self.instants[-2].coasted:
-                if self.wear is not None:
-                    self._learn_wear(self.wear)
-                self._learn()
+            self.end_period(at_us)
             if at_us != self.instants[-1].time_us:
                 self._move_newest(at_us)
         self._open(action, coasted=False)
+
+    def end_period(self, at_us: int) -> None:
+        """Learn from the current period, which the next action will end at a time; once for each period.
+
+        A decision calls it before it plans, so that it plans with what the last stroke has shown.
+        """
+        if not (self._prediction_valid and len(self.instants) > 1):
+            return
+        latest = self.instants[-2]
+        if not latest.coasted and at_us >= latest.time_us + PERIOD_LEAST_US:
+            if self.wear is not None:
+                self._learn_wear(self.wear)
+            self._learn()
+            self._prediction_valid = False
 
     def limb_use(self, at_us: int) -> Int64:
         """Return (8,) the recent use of each limb, for an action that starts at a time."""

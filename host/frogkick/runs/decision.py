@@ -223,10 +223,13 @@ class DecisionTwin:
 
     def _decision_at(self, at_us: int) -> Decision:
         """Estimate and plan as the robot does; the run ends at the end of the path."""
-        tables, follow = self._track.tables, self._follow
+        follow = self._follow
+        estimate = self._estimator.at(at_us)
+        if estimate is not None:
+            self._track.end_period(at_us)
+        tables = self._track.tables
         lost = (*tables.lost.tolist(), *(0,) * (LIMBS_MAX - len(tables.lost)))
         resting = Decision(STALE, self._resting_action, at_us, along_points=follow.along_points, lost=lost)
-        estimate = self._estimator.at(at_us)
         if estimate is None:
             return resting
         state = estimate.state

@@ -284,6 +284,30 @@ def test_bad_cells(tmp_path: pathlib.Path, row: int, column: int, cell: str, tex
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("columns", "factor", "text"),
+    [
+        ((1, 2), 1e3, r"frames are farther from others than .* give x and y in m, theta in rad"),
+        ((1, 2), 1e2, "give x and y in m"),
+        ((3,), 180.0 / np.pi, "theta in rad"),
+        ((0,), 1e-3, "no frame has a usable time, as all stamps are less than 20 ms apart"),
+    ],
+    ids=["mm", "cm", "degrees", "seconds"],
+)
+def test_other_units_are_refused(
+    tmp_path: pathlib.Path, columns: tuple[int, ...], factor: float, text: str
+) -> None:
+    """They were imported, with nearly every frame marked as wrong."""
+    cells = made_up(tmp_path)
+    rng = np.random.default_rng(2)
+    for row in cells:
+        row[3] = repr(4.2 + float(rng.normal(0, 3e-3)))
+        for column in columns:
+            row[column] = repr(float(row[column]) * factor)
+    with pytest.raises(InputError, match=text):
+        load_run(write(tmp_path, cells))
+
+
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("before", ["", "\ufeff"], ids=["plain", "with BOM"])
 def test_line_ends_and_empty_lines_do_not_matter(tmp_path: pathlib.Path, before: str, end: str) -> None:
@@ -317,6 +341,15 @@ def test_bad_files(tmp_path: pathlib.Path) -> None:
     file.write_text("")
     with pytest.raises(InputError, match="is empty"):
         load_run(file)
+    text = write(tmp_path, cells).read_text()
+    for separator, name in ((";", "';'"), ("\t", r"'\\t'")):
+        file.write_text(text.replace(",", separator))
+        with pytest.raises(InputError, match=f"separates its columns by {name}: needed are commas"):
+            load_run(file)
+    for raw in (text.encode("utf-16"), text.replace("started on:,", "started on:,\xb5").encode("latin-1")):
+        file.write_bytes(raw)
+        with pytest.raises(InputError, match=r"is not UTF-8 from byte \d+ on: save it again as UTF-8"):
+            load_run(file)
     file.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="is not a run: give a log"):
         load_run(file)

@@ -16,7 +16,7 @@ from frogkick.core.poses import wrap_angle
 from frogkick.paths import from_csv
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.recorded.clock import Clock, estimate_clock, forward_speed, motion_lag
-from frogkick.runs.recorded.table import ACTION_NAMES, Table, mark_frames, read_table
+from frogkick.runs.recorded.table import ACTION_NAMES, Table, check_units, mark_frames, read_table
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes
 from frogkick.runs.runlog_file import read_run, write_run
 
@@ -67,7 +67,7 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     positions): they show what the authors' planner used, and do not suit identification.
 
     Raises:
-        InputError: not a recorded run, no path beside it, or a bad cell.
+        InputError: not a recorded run, no path beside it, a bad cell, or other units.
     """
     source = existing_file(file, "recorded run")
     table = read_table(source)
@@ -80,6 +80,7 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     heading = wrap_angle(table.pose_world[:, 2])
     pose = np.column_stack([table.pose_world[:, :2], heading])
     quality, flags = mark_frames(table.time_s, pose, table.carried)
+    check_units(source.name, table.pose_world, flags)
     untrusted = (flags & int(FixFlag.UNTRUSTED_TIME)) != 0
     usable = (quality == 1) & ~untrusted
     start_s, end_s, speed = forward_speed(table.time_s, pose, usable)

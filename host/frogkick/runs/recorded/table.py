@@ -48,6 +48,9 @@ ACCELERATION_MPS2, ACCELERATION_RADPS2 = 1.0, np.radians(1000.0)
 SPEED_MAX_MPS, TURN_MAX_RADPS = 0.2, 2.5
 MISDETECTED_ROWS_MAX = 3
 """Largest number of successive wrong frames."""
+IMPOSSIBLE_SHARE, IMPOSSIBLE_MOST = 0.25, 5
+"""More wrong frames and jumps than both are no errors of single frames, but other units or columns. Published
+runs have a share of up to 0.004; one of them in mm or cm has 0.98, in degrees 0.64."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,11 @@ def read_table(file: pathlib.Path | str) -> Table:
     try:
         text = source.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
+        raw = source.read_bytes()
+        if any(FIRST_CELL.encode(code) in raw for code in ("ascii", "utf-16-le", "utf-16-be")):
+            raise InputError(
+                f"recorded run {name!r} is not UTF-8 from byte {error.start} on: save it again as UTF-8"
+            ) from error
         raise InputError(
             f"{name!r} is not a run: give a log (.h5) of 'frogkick run', or a recorded one like line1.csv"
         ) from error
@@ -85,6 +93,12 @@ def read_table(file: pathlib.Path | str) -> Table:
         raise InputError(f"{name!r} is not a recorded run ({error}): give a run like line1.csv") from error
     lines = [cells for _, cells in numbered]
     if not lines or lines[0][0].strip() != FIRST_CELL:
+        first = lines[0][0].strip() if lines else ""
+        if first.startswith(FIRST_CELL):
+            raise InputError(
+                f"recorded run {name!r} separates its columns by {first[len(FIRST_CELL)]!r}: needed are "
+                "commas, and a point in decimal numbers"
+            )
         raise InputError(
             f"{name!r} is not a recorded run (no {FIRST_CELL!r} in line 1): give one like line1.csv"
         )
@@ -254,6 +268,33 @@ def jumps(time_s: Float64, pose: Float64, usable: Bool) -> Bool:
     marked = np.zeros(len(time_s), dtype=bool)
     marked[rows[1:][far]] = True
     return marked
+
+
+def check_units(name: str, pose: Float64, flags: Int64) -> None:
+    """Refuse a run whose frames cannot be those of a robot in the units of the file.
+
+    Args:
+        name: of the file, for the error.
+        pose: (n, 3) x m, y m, theta rad, as recorded.
+        flags: (n,) FixFlag bits of ``mark_frames``.
+
+    Raises:
+        InputError: no frame has a usable time, or too many are farther from others than the robot can go.
+    """
+    trusted = (flags & int(FixFlag.UNTRUSTED_TIME | FixFlag.DUPLICATE)) == 0
+    if not trusted.any():
+        raise InputError(
+            f"recorded run {name!r}: no frame has a usable time, as all stamps are less than "
+            f"{1e3 * SPACING_MIN_S:.0f} ms apart: give times in ms since midnight, and the whole run"
+        )
+    impossible = trusted & ((flags & int(FixFlag.MISDETECTION | FixFlag.JUMP)) != 0)
+    if impossible.sum() > max(IMPOSSIBLE_SHARE * trusted.sum(), IMPOSSIBLE_MOST):
+        x, y, theta = np.ptp(pose[trusted], axis=0)
+        raise InputError(
+            f"recorded run {name!r}: {impossible.sum()} of {trusted.sum()} frames are farther from others "
+            f"than the robot can swim or turn (x spans {x:.4g}, y {y:.4g}, theta {theta:.4g}): give x and y "
+            "in m, theta in rad"
+        )
 
 
 def mark_frames(time_s: Float64, pose: Float64, carried: Bool) -> tuple[Int64, Int64]:

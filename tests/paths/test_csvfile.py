@@ -94,6 +94,8 @@ def test_who_gives_more_points_is_told_what_becomes_of_them(tmp_path: pathlib.Pa
         ("0;0\n1;0\n", "separated by ';': write commas"),
         ("x\ty\n0\t0\n", "separated by '.t': write commas"),
         ("0,0\n1e308,0\n-1e308,1\n", "point 1 lies at .1e.308, 0. m, the limit is 1000 m"),
+        ("x,y,tangent_rad\n0,0,45\n1,1,45\n2,2,30\n", "up to 45, .* degrees off .*: give radians"),
+        ("x,y,tangent_rad\n0,0,45\n", "1 point"),
         ("0,0\n450,0\n", "450 m, more than 50 m: columns are in metres, are these mm"),
     ],
 )
@@ -101,6 +103,14 @@ def test_bad_files(tmp_path: pathlib.Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         from_csv(write(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+def test_tangents_of_several_turns_are_taken(tmp_path: pathlib.Path) -> None:
+    turn = np.linspace(0.0, 5.0 * math.pi, 90)
+    x, y = np.cumsum(0.05 * np.array([np.cos(turn), np.sin(turn)]), axis=1)
+    rows = "".join(f"{a},{b},{c}\n" for a, b, c in zip(x, y, turn, strict=True))
+    path = from_csv(write(tmp_path, "x,y,tangent_rad\n" + rows))
+    assert np.cos(path.tangent_rad) == pytest.approx(np.cos(turn), abs=1e-5)
 
 
 def test_missing_file_folder_and_binary(tmp_path: pathlib.Path) -> None:

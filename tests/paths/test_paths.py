@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pathlib
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -100,6 +101,19 @@ def test_distance_is_to_segments() -> None:
     assert path.nearest_index([(0.5, 0.0), (0.6, 0.0)]).tolist() == [0, 1]
     with pytest.raises(InputError, match="shape"):
         path.distance_m([1.0, 2.0])
+
+
+def test_distances_of_many_points_take_little_memory() -> None:
+    """A file of a million points took gigabytes."""
+    path, rng = ellipse(), np.random.default_rng(3)
+    points = rng.uniform(-0.5, 0.5, (50_000, 2))
+    tracemalloc.start()
+    distance = path.distance_m(points)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60e6
+    some = rng.integers(0, len(points), 500)
+    assert np.array_equal(distance[some], path.distance_m(points[some]))
 
 
 @given(st.lists(st.tuples(COORDINATE, COORDINATE), min_size=1, max_size=20))

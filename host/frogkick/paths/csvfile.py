@@ -13,6 +13,7 @@ from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
+from frogkick.core.poses import wrap_angle
 from frogkick.paths.path import POINTS_MAX, Path
 from frogkick.paths.shapes import from_waypoints
 
@@ -104,7 +105,23 @@ def _read(file: pathlib.Path | str) -> tuple[Path, Float64]:
         tangent = np.arctan2(values["dy"], values["dx"])
     else:
         tangent = values["tangent_rad"]
+        _check_radians(points, tangent, name)
     return Path.from_arrays(points[:, 0], points[:, 1], tangent, source.stem), points
+
+
+def _check_radians(points_m: Float64, tangent: Float64, name: str) -> None:
+    """Refuse tangents that fit the points as degrees but not as radians."""
+    if len(points_m) < 2:
+        return
+    largest = float(np.abs(tangent).max())
+    along = np.diff(points_m, axis=0)
+    course = np.arctan2(along[:, 1], along[:, 0])
+    off = [np.abs(wrap_angle(each[:-1] - course)).mean() for each in (tangent, np.radians(tangent))]
+    if largest > 2.0 * math.pi and off[1] < off[0]:
+        raise InputError(
+            f"path file {name!r}: tangent_rad is up to {largest:.4g}, {math.degrees(off[0]):.0f} degrees off "
+            f"the points' own direction and {math.degrees(off[1]):.0f} if in degrees: give radians"
+        )
 
 
 def _header(cells: list[str], name: str) -> list[str] | None:

@@ -17,6 +17,8 @@ from frogkick.core.poses import rotate, world_from_body, wrap_angle
 
 # fk_path_t holds this many points (FK_PATH_POINTS_MAX in fk_planner.h); the paper's paths have exactly 100.
 POINTS_MAX = 100
+AT_ONCE = 4096
+"""Points whose distances from a path are computed at once."""
 # The planner refuses a position beyond this (FK_ERROR_RANGE), so a path may not lead there.
 COORDINATE_MAX_M = 1000.0
 
@@ -199,11 +201,14 @@ class Path:
         start = self.points_m[:-1]
         along = np.diff(self.points_m, axis=0)
         square = (along**2).sum(axis=1)
-        offset = points[:, None, :] - start[None, :, :]
-        # The projection on a segment without length is its start.
-        part = np.clip((offset * along).sum(axis=2) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-        gap = offset - part[:, :, None] * along[None, :, :]
-        distance: Float64 = np.sqrt((gap**2).sum(axis=2).min(axis=1))
+        distance = np.empty(len(points))
+        for first in range(0, len(points), AT_ONCE):  # a table of points by segments is large
+            part = slice(first, first + AT_ONCE)
+            offset = points[part, None, :] - start[None, :, :]
+            # The projection on a segment without length is its start.
+            share = np.clip((offset * along).sum(axis=2) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+            gap = offset - share[:, :, None] * along[None, :, :]
+            distance[part] = np.sqrt((gap**2).sum(axis=2).min(axis=1))
         return distance
 
     def nearest_index(self, points_world_m: ArrayLike) -> Int64:

@@ -157,6 +157,20 @@ def installed(wheel: Path, root: Path, extras: Iterable[str] = (), by_pip: bool 
     return made
 
 
+def with_compiled(environment: Environment) -> Environment:
+    """The environment with what numba has compiled of this clone, which takes minutes to compile.
+
+    numba takes of it only what is of a file with the very same content: the wheel's own files are compiled
+    where they differ.
+    """
+    (package,) = (environment.root / "venv").glob("**/site-packages/frogkick")
+    for file in sorted((REPOSITORY / "host" / "frogkick").rglob("__pycache__/*.nb[ci]")):
+        target = package / file.relative_to(REPOSITORY / "host" / "frogkick")
+        target.parent.mkdir(exist_ok=True)
+        shutil.copyfile(file, target)
+    return environment
+
+
 def _needed(requirements: list[Requirement], extras: set[str]) -> set[str]:
     """Names of all packages that a wheel's requirements bring with them."""
     names: set[str] = set()

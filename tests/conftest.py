@@ -25,20 +25,12 @@ LEVEL = os.environ.get("FK_LEVEL") or "quick"
 FULL = LEVEL == "full"
 from_ci = pytest.mark.from_ci
 """A slow test, which make test leaves out: cheaper ones hold most of it."""
-few_at_ci = [0]
-"""1 while a test runs that is marked ``few_pieces``."""
-few_pieces = pytest.mark.few_pieces
-"""A test of a search, a command or a file, not of how finely a robot is drawn: in .ci/run, too, robots
-(``made.robot``) are of few pieces and wear curves from few gains as in make test; in make test-full both are
-as a user has them."""
-wear_gains: list[tuple[float, ...]] = []
-"""The first is what wear curves of a user's library are from."""
 LEFT_OUT = "slow tests that are left out: FK_LEVEL=ci runs them"
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for; ``LEFT_OUT`` -> number of tests."""
-# pytest loads this file under another name than tests do: both share these.
+# pytest loads this file under another name than tests do: both share it.
 if __name__ != "tests.conftest":
-    from tests.conftest import counted, few_at_ci
+    from tests.conftest import counted
 
 # A case takes as long as the machine lets it. The same cases everywhere; make test-full looks for others.
 hypothesis.settings.register_profile(
@@ -141,16 +133,14 @@ def rewrite_a_share(config: pytest.Config, worker: int, workers: int) -> None:
             rewrite._write_pyc(state, code, source, kept)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Before any fixture, so that those of a file with the mark in ``pytestmark`` have it as well."""
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Wear curves from two gains but in make test-full: those of six are most of a small library's time.
+
+    ``library/test_wear.py`` looks at all of them.
+    """
     from frogkick.library import wear
 
-    few_at_ci[0] = int(item.get_closest_marker("few_pieces") is not None)
-    # In make test wear curves from two gains: those of six are most of a small library's time.
-    if not wear_gains:
-        wear_gains.append(wear.GAINS)
-    wear.GAINS = tuple(some(wear_gains[0][::-1], 2, 2 if few_at_ci[0] else None)[::-1])
+    wear.GAINS = tuple(some(wear.GAINS[::-1], 2, 2)[::-1])
 
 
 def compile_once() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.conftest import REPOSITORY, count, few_pieces, from_ci
+from tests.conftest import REPOSITORY, count, from_ci
 from tests.identification.made import robot as made_robot
 
 import frogkick as fk
@@ -17,7 +17,6 @@ from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.terms import catalogue
 
-pytestmark = few_pieces
 EXAMPLES = REPOSITORY / "host" / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LEFT = {

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
-from tests.conftest import REPOSITORY, count, few_pieces, from_ci
+from tests.conftest import REPOSITORY, count, from_ci
 from tests.identification.made import robot as made_robot
 from tests.link.live_robot import LiveRobot
 from tests.runs import rig
@@ -30,7 +30,6 @@ from frogkick.link.pty_line import PtyLine
 from frogkick.robot import parse_robot
 from frogkick.robot.toml_text import to_toml
 
-pytestmark = few_pieces
 WORN = "rear_left"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import count, few_pieces, from_ci
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 
 from frogkick import ring as closing_module
@@ -32,7 +32,6 @@ from frogkick.runs.record import lost_of
 from frogkick.runs.runlog_file import read_run
 from frogkick.tables.image import read_image
 
-pytestmark = few_pieces  # the demo, which .ci/run makes, has the robot as it is drawn
 SWUM_S = float(count(17, 17, 14))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.conftest import count, few_at_ci
+from tests.conftest import FULL
 
 from frogkick.effects import World, make_effects
 from frogkick.identification.diagnostics import residual_diagnostics
@@ -39,11 +39,11 @@ def term(title: str, *values: float) -> Term:
 
 
 def robot(name: str = "frog2022", side: int = 3, limb: int = 3) -> Robot:
-    """The paper's; in make test of so few pieces, which swims much the same at a quarter of the cost.
+    """The paper's, of so few pieces, which swims much the same at a quarter of the cost.
 
-    So it is in .ci/run in tests that are marked ``few_pieces``; as it is drawn everywhere in make test-full.
+    In make test-full as it is drawn. Tests of how it swims take it as it is drawn everywhere, by its name.
     """
-    return _robot(name, side, limb, bool(count(few_at_ci[0], 0, 1)))
+    return _robot(name, side, limb, not FULL)
 
 
 @cache
@@ -59,7 +59,7 @@ def _robot(name: str, side: int, limb: int, is_of_few: bool) -> Robot:
 
 
 def robot_option(folder: Path, name: str = "frog2022") -> str:
-    """The same for a command: its name, or in make test a file."""
+    """The same for a command: a file, or in make test-full its name."""
     if robot(name) == load_robot(name):
         return name
     robot(name).save(folder / f"{name}.toml")

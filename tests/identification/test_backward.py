@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made import make_swim, robot, term
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.backward import (
@@ -34,8 +34,6 @@ from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import deviance_of
 from frogkick.identification.terms import Term
-
-pytestmark = few_pieces
 
 QUIET = Noise((2e-4, 3.5e-3), (2e-5, 5e-4), (2e-5, 5e-4))
 WEAR = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}

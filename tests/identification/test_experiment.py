@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from made import make_swim, robot, term
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 
 from frogkick.identification.experiment import (
     DECISIVE_SIGMA,
@@ -33,8 +33,6 @@ from frogkick.identification.steps import whitener
 from frogkick.identification.terms import Interval, Term
 from frogkick.identification.verdict import intervals
 from frogkick.robot import load_robot
-
-pytestmark = few_pieces
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 START = np.array([0.1, -0.05, 0.4])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made import WORN, make_run, make_swim, robot, term
-from tests.conftest import count, from_ci
+from tests.conftest import from_ci
 
 from frogkick.cli.identify import spread
 from frogkick.cli.main import run_command
@@ -154,12 +154,12 @@ def test_nothing_is_found_where_nothing_is_missing(whole: list[Segments]) -> Non
 def test_effects_of_the_camera_act_on_what_is_shown() -> None:
     """A latency and a scale, given to the model, take a run with them back to the noise."""
     planted = [{"name": "fix_latency", "delay_s": 0.1}, {"name": "camera_scale", "scale": 1.1}]
-    swims = [make_swim(planted, 5, 10)]
+    swims = [make_swim(planted, 5, 10, "BCBDBEBFBC")]
     terms = (term("fix_latency").at((0.1,)), term("camera_scale").at((1.1,)))
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
     with_both, without = rollouts_of([Model(robot(), terms, noise), Model(robot(), (), noise)], swims)
     assert PredictionError.of(prediction_errors(with_both, swims)).position_rmse_m < 0.6e-3
-    assert PredictionError.of(prediction_errors(without, swims)).position_rmse_m > count(20, 20, 18) * 1e-4
+    assert PredictionError.of(prediction_errors(without, swims)).position_rmse_m > 2e-3
 
 
 @from_ci

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made import make_swim, robot
-from tests.conftest import LEVEL, count, few_pieces, from_ci, some
+from tests.conftest import LEVEL, count, from_ci, some
 
 from frogkick.effects import Fix
 from frogkick.identification.jumps import jumped, jumps_of, without_jumps
@@ -20,8 +20,6 @@ from frogkick.identification.segments import read_segments
 from frogkick.identification.verdict import PARTLY
 from frogkick.report.identify_figures import missing_terms_figure
 from frogkick.robot import load_robot
-
-pytestmark = few_pieces
 
 GIVEN = Path(__file__).parents[3] / "shared" / "data" / "misfire"
 
@@ -86,7 +84,7 @@ def test_a_limb_that_breaks_does_not_misfire() -> None:
     at = {"at": {"value": 15.0, "unit": "s"}}
     table = {"name": "law", "on": "stroke", "limb": "front_left", "gain": "time_s < at", "parameters": at}
     for effects, right in (([table], True), (misfire("front_left", 0.3), False)):
-        swims = [make_swim(effects, seed, count(20, 30)) for seed in (1, 2, 3)]
+        swims = [make_swim(effects, seed, count(20, 30)) for seed in range(1, count(3, 4))]
         data, nominal = nominal_fit(swims, robot())
         responses = responses_of(nominal, data)
         found = misfires_of(nominal, data, responses.idle)
@@ -96,10 +94,9 @@ def test_a_limb_that_breaks_does_not_misfire() -> None:
 @pytest.mark.skipif(not GIVEN.is_dir() or LEVEL == "quick", reason="logs of a misfire; FK_LEVEL=ci")
 def test_the_logs_of_a_misfire_are_partly_explained() -> None:
     named = load_robot("frog2022")
-    every = [
-        read_segments(GIVEN / f"{name}.h5", named) for name in ("line", "sine", "ellipse", "eight", "bends")
-    ]
-    outcome = identify(every[:4], every[4:], named, laws=True)
+    names = ("line", "sine", "ellipse", "eight")[: count(2, 4)]
+    *train, test = (read_segments(GIVEN / f"{name}.h5", named) for name in (*names, "bends"))
+    outcome = identify(train, [test], named, laws=True)
     assert outcome.verdict == PARTLY
     (effect,) = outcome.as_json()["effects"]
     failing = effect["parameters"]["failing"]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import known_outcome, make_run, make_swim, robot, robot_option
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 
 from frogkick.cli.identify import printed
 from frogkick.cli.main import run_command
@@ -41,8 +41,6 @@ from frogkick.identification.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAI
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.runlog_file import write_run
 from frogkick.tables.image import read_image
-
-pytestmark = few_pieces
 
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
 WEAR = ("limb_wear rear_left", (0.7, 0.0, 1.0))

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from made import known_outcome, make_swim, robot
 from test_retune import WEAR, WORN, silent, tools_of
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 
 from frogkick.cli.identify import printed
 from frogkick.effects import Law, body_effects
@@ -19,8 +19,6 @@ from frogkick.front.retuning import ROBOT, retuned
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot, load_robot
-
-pytestmark = few_pieces
 
 
 def law_term(**table: Any) -> Term:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import make_swim, robot, term
-from tests.conftest import count, few_pieces, from_ci, some
+from tests.conftest import count, from_ci, some
 
 from frogkick.core.poses import PredictionError
 from frogkick.der import WIDTH
@@ -36,8 +36,6 @@ from frogkick.identification.search import (
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import _shrunk, deviance_of, linearised_optimum, log_density, scale_of
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Scored, intervals
-
-pytestmark = few_pieces
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 

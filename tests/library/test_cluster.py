@@ -7,13 +7,11 @@ from pathlib import Path
 
 import pytest
 from tests.chunks.test_chunks import Cluster, kill_one, needs_distributed
-from tests.conftest import count, few_pieces, from_ci
+from tests.conftest import count, from_ci
 
 from frogkick.core.errors import FrogkickError
 from frogkick.library import build_library
 from frogkick.robot import load_robot
-
-pytestmark = few_pieces
 
 ROBOT = load_robot("frog2022")
 STATES, SEED = count(100, 100, 66), 5  # half of them simulated, 4 parts or 3

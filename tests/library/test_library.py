@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from tests.conftest import count, few_pieces, from_ci, some
+from tests.conftest import count, from_ci, some
 from tests.der.single import simulate_action
 
 from frogkick.core.errors import ConvergenceError, InputError
@@ -33,8 +33,6 @@ from frogkick.library.sampling import box_velocities
 from frogkick.library.starts import rigid_starts
 from frogkick.robot import load_robot, mirror_of, parse_robot
 from frogkick.tables.image import open_image
-
-pytestmark = few_pieces
 
 ROBOT = load_robot("frog2022")
 STATES, SEED = 5, 11

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from tests.conftest import count, few_pieces, from_ci
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 
 from frogkick.der import prepare
@@ -18,8 +18,8 @@ from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.tables.image import open_image
 
 ROBOT = robot()
-STATES = count(128, 128, 48)
-FIRST_STATES = count(64, 64, 16)
+STATES = count(64, 128, 48)
+FIRST_STATES = count(32, 64, 16)
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,6 @@ def first_table(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @from_ci
-@few_pieces
 def test_planned_states_are_drawn_again_whoever_simulates() -> None:
     few = robot()
     one = list(itertools.islice(planned_swims(few, 3), 2))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 from tests.identification.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
@@ -31,8 +31,6 @@ from frogkick.report.identify_figures import (
 )
 from frogkick.report.identify_page import write_identify_page
 from frogkick.report.identify_residuals import by_limb, explained_shares, residuals_of
-
-pytestmark = few_pieces
 
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
 TITLE = "limb_wear rear_left"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from tests.conftest import few_pieces, from_ci, some
+from tests.conftest import from_ci, some
 from tests.identification.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
@@ -24,8 +24,6 @@ from frogkick.report.identify_page import write_identify_page
 from frogkick.report.identify_residuals import all_residuals
 from frogkick.report.law_figures import depends_on, law_figure
 from frogkick.report.laws import NEEDS, formula_of, sentence_of
-
-pytestmark = few_pieces
 
 LAWS: list[tuple[str, str, dict[str, float], str, str]] = [
     ("spring", "", {"stiffness": 0.05, "at_x": 0.1, "at_y": 0.1, "slack": 0.1}, "place",

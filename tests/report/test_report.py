@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 from tests.identification.made import robot
 from tests.runs import rig
 
@@ -22,8 +22,6 @@ from frogkick.report.page import Section, Table, write_page
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import figure_uri
 from frogkick.runs.runlog import RunLog
-
-pytestmark = few_pieces
 
 # What a page can fetch from elsewhere.
 FETCHING = {"src", "href", "data", "action", "poster", "srcset", "background"}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 from tests.der.single import simulate_action
 
 from frogkick.cli.main import run_command
@@ -79,7 +79,6 @@ def json_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, An
 
 
 @from_ci
-@few_pieces
 def test_six_limbs_from_the_file_to_the_closed_loop(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

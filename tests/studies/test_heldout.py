@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 from tests.identification.made import make_run, robot
 from typer.testing import CliRunner
 
@@ -21,8 +21,6 @@ from frogkick.robot import load_robot
 from frogkick.runs.runlog_file import write_run
 from frogkick_studies import heldout
 from frogkick_studies.heldout import HeldOut, held_out, pooled, scatter
-
-pytestmark = few_pieces
 
 CURRENT = {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004}
 PERIODS = (14, 12, 10)

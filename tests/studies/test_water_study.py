@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import few_pieces, from_ci
+from tests.conftest import from_ci
 from tests.identification.made import robot, robot_option
 from tests.validation.paper_data import write_swim
 from typer.testing import CliRunner
@@ -68,7 +68,6 @@ def test_a_joint_fit_holds_what_theory_says() -> None:
 
 
 @from_ci
-@few_pieces
 def test_swims_of_a_plated_robot_in_other_drag_are_told(tmp_path: Path) -> None:
     """Where limbs are plates and the frame's drag is another, that hypothesis wins in every way."""
     plated = with_effects(robot(), hypotheses(ROBOT)["limbs are plates"])

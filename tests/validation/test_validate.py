@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import count, few_pieces, from_ci
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 from tests.validation.paper_data import GAIT, model_swim, write_simulation, write_swim
 
@@ -94,7 +94,6 @@ def test_what_cannot_be_compared_is_listed_with_its_reason(tmp_path: Path) -> No
 
 
 @from_ci
-@few_pieces
 def test_constants_are_matched_without_the_fraction_that_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

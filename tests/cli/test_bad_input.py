@@ -203,6 +203,14 @@ CASES = {
     "demo out is a file": "demo --out {file}",
     "demo out below a file": "demo --out {file}/demo",
     "import out is a file": "import {folder} --out {file}",
+    # what would replace a file that is read, or another one that is written
+    "out is the training run": "identify --train {run.h5} --test {run.h5} --out {run.h5}",
+    "report is a run": "identify --train {run.h5} --test {run.h5} --out out/r --report {run.h5}",
+    "two outputs in one file": "identify --train {run.h5} --test {run.h5} --out out/r --predictions out/r",
+    "out is the library": "tables build {lib.h5} --out {lib.h5}",
+    "out is the path": "run --tables {x.fkt} --path {same.csv} --out {same.csv}",
+    "out is the robot": "simulate {robot.toml} --out {robot.toml}",
+    "out is the exported run": "export {run.h5} --mcap --out {folder}/../run.h5",
     # import
     "import missing": "import {missing} --out out/runs",
     "import nothing": "import {none} --out out/runs",
@@ -255,6 +263,8 @@ def test_one_line_exit_two_and_nothing_written(
         ("run --tables {x.fkt} --path {one.csv}", "1 point"),
         ("simulate --actions B,Z", "Z"),
         ("run --tables {x.fkt} --depth 5", "--depth"),
+        ("tables build {lib.h5} --out {lib.h5}", "is read by this command"),
+        ("identify --train {run.h5} --test {run.h5} --out r --predictions ./r", "is --out too"),
         ("tables info {cut_x.fkt}", "cut_x.fkt"),
     ],
 )

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import enum
+import functools
 import inspect
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 import typer
+
+from frogkick.core.errors import InputError
 
 PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
 PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
@@ -88,11 +93,47 @@ def call(function: Callable[..., Found], options: Mapping[str, Any], **others: A
     return function(**{**plain, **others})
 
 
+WRITTEN = ("out", "predictions", "report", "animation", "picture")
+"""Options of all commands that name what is written."""
+
+
+def require_apart(options: Mapping[str, Any]) -> None:
+    """Check that no file is written that the command also reads, or writes twice.
+
+    Raises:
+        InputError: such a file.
+    """
+    written = {name: Path(options[name]) for name in WRITTEN if options.get(name) is not None}
+    read = [value for name, value in options.items() if name not in WRITTEN for value in _files(value)]
+    for index, (name, file) in enumerate(written.items()):
+        for other in list(written)[:index]:
+            if written[other].absolute() == file.absolute():
+                raise InputError(f"--{name} {str(file)!r} is --{other} too: give each a file of its own")
+        if file.is_file() and any(os.path.samefile(file, each) for each in read):
+            raise InputError(
+                f"--{name} {str(file)!r} is read by this command, and would be replaced: name another file"
+            )
+
+
+def _files(value: Any) -> Iterator[Path]:
+    """Yield the files that the value of an option names."""
+    for each in value if isinstance(value, list | tuple) else [value]:
+        with suppress(OSError):  # no text that is longer than a file's name names one
+            if isinstance(each, str | Path) and Path(each).is_file():
+                yield Path(each)
+
+
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command whose arguments ``Annotated[type, "help", With(...)]`` are options with that help.
 
-    A switch that is off by default has no ``--no-name``.
+    A switch that is off by default has no ``--no-name``. What is written must not be what is read.
     """
+
+    @functools.wraps(command)
+    def checked(**options: Any) -> None:
+        require_apart(options)
+        command(**options)
+
     signature = inspect.signature(command, eval_str=True)
     parameters = []
     for parameter in signature.parameters.values():
@@ -103,5 +144,5 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
             own = (f"--{parameter.name.replace('_', '-')}",) if parameter.default is False else ()
             annotation = Annotated[kind, typer.Option(*(more.pop("names") or own), help=notes[0], **more)]
         parameters.append(parameter.replace(annotation=annotation))
-    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    return command
+    checked.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return checked

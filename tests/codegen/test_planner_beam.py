@@ -150,18 +150,31 @@ def test_of_equal_branches_the_lowest_first_action_is_taken(image: bytes, weight
 
 
 def test_of_equal_branches_that_are_found_late_the_lowest_first_action_is_taken() -> None:
-    """Only to end beyond a wall costs anything. Left leads beyond it and is dear until it is undone."""
+    """Only to glide beyond a wall costs anything. Left glides beyond it and is dear until it is undone."""
     moves = np.array([[[0.0, 0.0, 0.0], [0.01, 0.03, 0.0], [0.01, -0.03, 0.0], [0.01, 0.0, 0.0]]])
     image = synthetic.pack(np.zeros((1, 3)), moves, np.zeros((1, 4, 3)))
-    walls = WALLS | {"wall_x_min_m": -1.0, "wall_x_max_m": 1.0, "wall_glide": 0.0}
+    walls = WALLS | {"wall_x_min_m": -1.0, "wall_x_max_m": 1.0}
     config = PlanConfig(0.0, 0.0, 0.0, 0.0, depth=3, **(walls | {"cost": ROUTE["cost"]}))
     given = some_states(count(40, 400), 100, 6, spread_m=0.3)
     given[0][:, 2:] = 0.0
     rows, left_m = told(image, PATH, config, given), given[0][:, 1]
-    near, late, far = left_m < 0.125, (left_m > 0.075) & (left_m < 0.125), left_m > 0.28
+    near, late = np.abs(left_m) < 0.065, (left_m > 0.015) & (left_m < 0.065)  # a stroke, and twice that of glide
+    far = left_m > 0.075
     assert late.any() and far.any()
     assert {row["action"] for row, there in zip(rows, near, strict=True) if there} == {1}
     assert {row["action"] for row, there in zip(rows, far, strict=True) if there} == {2}
+
+
+def test_a_sequence_does_not_lead_beyond_a_wall_and_back() -> None:
+    """Beside the route, which lies beyond the wall, the robot stays inside: every motion's end counts."""
+    moves = np.array([[[0.0, 0.0, 0.0], [0.01, 0.03, 0.0], [0.01, -0.03, 0.0], [0.01, 0.0, 0.0]]])
+    image = synthetic.pack(np.zeros((1, 3)), moves, np.zeros((1, 4, 3)))
+    walls = {"wall_weight_per_m": 5e4, "wall_y_max_m": -0.005, "wall_glide": 0.0}
+    config = PlanConfig(depth=3, **(ROUTE | walls))
+    given = some_states(count(40, 400), 60, 6, spread_m=0.3)
+    given[0][:], given[2][:] = 0.0, 0.0
+    given[0][:, 1] = np.linspace(-0.034, -0.006, len(given[0]))
+    assert {row["action"] for row in told(image, STRAIGHT, config, given)} <= {2, 3}
 
 
 def test_a_branch_that_ends_at_its_look_ahead_has_no_direction_to_take() -> None:

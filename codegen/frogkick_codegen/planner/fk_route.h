@@ -135,6 +135,15 @@ static inline float fk_route_huber(const fk_route_t *route, float distance2_m2)
                                              : FK_SQRT(distance2_m2) - route->half_huber_m;
 }
 
+/* What it costs that a point lies beyond the walls. */
+static inline float fk_route_wall_cost(const fk_route_t *route, float x_m, float y_m)
+{
+    const float beyond_x_m = fk_larger(0.0f, route->wall_min_m[0] - x_m) + fk_larger(0.0f, x_m - route->wall_max_m[0]);
+    const float beyond_y_m = fk_larger(0.0f, route->wall_min_m[1] - y_m) + fk_larger(0.0f, y_m - route->wall_max_m[1]);
+
+    return route->wall_weight_per_m * (beyond_x_m + beyond_y_m);
+}
+
 /* Stage cost of a motion that ends at (x_m, y_m), at least 0.
  * knot, arc_m: where on the route it began; *next_knot and *next_arc_m: where it ends. */
 static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot, float arc_m, float x_m, float y_m,
@@ -147,6 +156,7 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     float along_m;
     float moved_m;
     float shortfall_m;
+    float cost;
 
     if ((route->ahead == 0U) && (high < FK_ROUTE_BEHIND)) {
         high = FK_ROUTE_BEHIND; /* no knot lies behind a held projection */
@@ -161,7 +171,11 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     *next_arc_m = (float)*next_knot * route->step_m + moved_m;
 
     shortfall_m = route->stroke_max_m - fk_smaller(*next_arc_m - arc_m, route->stroke_max_m);
-    return route->distance_weight_per_m * fk_route_huber(route, distance2_m2) + route->progress_weight_per_m * shortfall_m;
+    cost = route->distance_weight_per_m * fk_route_huber(route, distance2_m2) + route->progress_weight_per_m * shortfall_m;
+    if (route->wall_weight_per_m > 0.0f) {
+        cost = cost + fk_route_wall_cost(route, x_m, y_m);
+    }
+    return cost;
 }
 
 /* The course after a motion: the heading before it (cosine, sine) plus the weighted motion, turned by the motion's
@@ -212,28 +226,9 @@ static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, floa
     return route->angle_weight_per_rad * FK_SQRT(fk_larger(0.0f, 2.0f - 2.0f * aligned));
 }
 
-/* How far a coordinate lies beyond the walls on its axis. */
-static inline float fk_beyond(float at_m, float least_m, float most_m)
-{
-    return fk_larger(0.0f, least_m - at_m) + fk_larger(0.0f, at_m - most_m);
-}
-
-/* Terminal cost, at least 0, of a motion that ends beyond the walls, or from whose end the robot glides there. */
-static inline float fk_route_wall_cost(const fk_route_t *route, float from_x_m, float from_y_m, float x_m, float y_m)
-{
-    const float glide_x_m = x_m + route->wall_glide * (x_m - from_x_m);
-    const float glide_y_m = y_m + route->wall_glide * (y_m - from_y_m);
-    const float ends_m = fk_beyond(x_m, route->wall_min_m[0], route->wall_max_m[0])
-                       + fk_beyond(y_m, route->wall_min_m[1], route->wall_max_m[1]);
-    const float glides_m = fk_beyond(glide_x_m, route->wall_min_m[0], route->wall_max_m[0])
-                         + fk_beyond(glide_y_m, route->wall_min_m[1], route->wall_max_m[1]);
-
-    return route->wall_weight_per_m * (ends_m + glides_m);
-}
-
 /* Terminal cost, at least 0, of where the robot glides from a branch's end. It glides by glide_lead times its last
  * motion, with the same turn, and its distance from the route there is measured at the knot as far ahead as it
- * glides along the route. Beyond walls: fk_route_wall_cost(). */
+ * glides along the route. It glides straight on towards a wall, by wall_glide times its last motion. */
 static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, float arc_m, float from_x_m,
                                         float from_y_m, float x_m, float y_m, float turn_rad)
 {
@@ -251,7 +246,7 @@ static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, 
 
     cost = route->glide_weight_per_m * fk_route_huber(route, across_m * across_m);
     if (route->wall_weight_per_m > 0.0f) {
-        cost = cost + fk_route_wall_cost(route, from_x_m, from_y_m, x_m, y_m);
+        cost = cost + fk_route_wall_cost(route, x_m + route->wall_glide * dx_m, y_m + route->wall_glide * dy_m);
     }
     return cost;
 }

@@ -69,7 +69,10 @@ def motion_cost(search: Search, level: int, depth: int) -> Any:
     stroke_max = search.step / PER_STEP
     shortfall = stroke_max - min(place - search.place[level], stroke_max)
     deviation = costs.huber(distance2, settings.soft_distance_m)
-    return settings.distance_weight_per_m * deviation + settings.progress_weight_per_m * shortfall
+    cost = settings.distance_weight_per_m * deviation + settings.progress_weight_per_m * shortfall
+    if settings.wall_weight_per_m > _F0:
+        cost = cost + costs.wall_cost(settings, after[0], after[1])
+    return cost
 
 
 @njit(**INNER)
@@ -104,7 +107,9 @@ def ended_cost(search: Search, level: int, cost: Any) -> Any:
     knot, place, turn = search.knot[level], search.place[level], search.motion[2]
     glides = costs.glide_cost(settings, search.knots, search.step, knot, place, here, before, turn)
     if settings.wall_weight_per_m > _F0:
-        glides = glides + costs.wall_cost(settings, here, before)
+        x = here[0] + settings.wall_glide * (here[0] - before[0])
+        y = here[1] + settings.wall_glide * (here[1] - before[1])
+        glides = glides + costs.wall_cost(settings, x, y)
     return (cost + course_cost(search, level, search.motion)) + glides
 
 

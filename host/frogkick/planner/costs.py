@@ -286,17 +286,11 @@ def glide_cost(
 
 
 @njit(**INNER)
-def wall_cost(settings: Any, here: AnyArray, before: AnyArray) -> Any:
-    """Return what it costs to end beyond the walls, or to glide there from the last motion."""
-    x = here[0] + settings.wall_glide * (here[0] - before[0])
-    y = here[1] + settings.wall_glide * (here[1] - before[1])
-    ends = beyond(here[0], settings.wall_x_min_m, settings.wall_x_max_m) + beyond(
-        here[1], settings.wall_y_min_m, settings.wall_y_max_m
-    )
-    glides = beyond(x, settings.wall_x_min_m, settings.wall_x_max_m) + beyond(
-        y, settings.wall_y_min_m, settings.wall_y_max_m
-    )
-    return settings.wall_weight_per_m * (ends + glides)
+def wall_cost(settings: Any, x: np.float32, y: np.float32) -> Any:
+    """Return what it costs that a point lies beyond the walls."""
+    beyond_x = beyond(x, settings.wall_x_min_m, settings.wall_x_max_m)
+    beyond_y = beyond(y, settings.wall_y_min_m, settings.wall_y_max_m)
+    return settings.wall_weight_per_m * (beyond_x + beyond_y)
 
 
 @njit(**INNER)

@@ -228,7 +228,7 @@ static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, floa
 
 /* Terminal cost, at least 0, of where the robot glides from a branch's end. It glides by glide_lead times its last
  * motion, with the same turn, and its distance from the route there is measured at the knot as far ahead as it
- * glides along the route. It glides straight on towards a wall, by wall_glide times its last motion. */
+ * glides along the route. */
 static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, float arc_m, float from_x_m,
                                         float from_y_m, float x_m, float y_m, float turn_rad)
 {
@@ -242,13 +242,19 @@ static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, 
     const fk_knot_t *there = &route->knots[(uint32_t)steps];
     const float across_m = ((y_m + glide_y_m) - there->y_m) * there->direction_x
                          - ((x_m + glide_x_m) - there->x_m) * there->direction_y;
-    float cost;
 
-    cost = route->glide_weight_per_m * fk_route_huber(route, across_m * across_m);
-    if (route->wall_weight_per_m > 0.0f) {
-        cost = cost + fk_route_wall_cost(route, x_m + route->wall_glide * dx_m, y_m + route->wall_glide * dy_m);
+    return route->glide_weight_per_m * fk_route_huber(route, across_m * across_m);
+}
+
+/* Terminal cost, at least 0, of gliding beyond the walls, straight on by wall_glide times the last motion. */
+static inline float fk_route_wall_glide_cost(const fk_route_t *route, float from_x_m, float from_y_m, float x_m,
+                                             float y_m)
+{
+    if (!(route->wall_weight_per_m > 0.0f)) {
+        return 0.0f;
     }
-    return cost;
+    return fk_route_wall_cost(route, x_m + route->wall_glide * (x_m - from_x_m),
+                              y_m + route->wall_glide * (y_m - from_y_m));
 }
 
 #endif

@@ -7,10 +7,12 @@
  * deviation from that knot is split along and across the route's direction there.
  *
  * Stage cost: a Huber loss of the motion's end's distance from the route, the shortfall of its advance against the
- * longest stroke of the table and, where there are walls, how far the motion's end lies beyond them. Terminal cost: how far the robot's course leads away from the route's place a
- * look-ahead further on (pure pursuit's target point; the course is the heading and, weighed, the last motion, since
- * a robot with a worn limb goes crabwise); how far beside the route it glides on from the end, by a motion of
- * constant turn; and how far beyond the walls lies the place where it would glide to rest. Each is at least 0, which both searches, tree.c and search_beam.c, rely on. */
+ * longest stroke of the table and, where there are walls, how far the motion's end lies beyond them. Terminal cost:
+ * how far the robot's course leads away from the route's place a look-ahead further on (pure pursuit's target
+ * point; the course is the heading and, weighed, the last motion, since a robot with a worn limb goes crabwise);
+ * how far beside the route it glides on from the end, by a motion of constant turn; and how far beyond the walls
+ * lies the place to which it glides on straight. Each is at least 0, which both searches, tree.c and search_beam.c,
+ * rely on. */
 #include "fk_route.h"
 
 #define FK_ROUTE_AHEAD_STROKES 1.5f /* the projection is searched for this far ahead along the path */

@@ -1,7 +1,9 @@
 /* search_beam.c - a beam search over sequences of actions (Lowerre 1976): of each level the FK_BEAM best branches are
- * carried on. A branch's value is what it would cost if it ended there: its cost so far and the terminal cost. All
- * branches that are compared have the same length. Of equal values the lower first action comes first, then the branch
- * that was found first: parents in the order of their values, of each parent the actions by their numbers.
+ * carried on. A branch's value is what it would cost if it ended there: its cost so far and the terminal cost. That
+ * it would glide beyond a wall counts at the last level alone: before that the robot can still turn away, and strokes
+ * that turn it to and fro would be dropped. All branches that are compared have the same length. Of equal values the
+ * lower first action comes first, then the branch that was found first: parents in the order of their values, of each
+ * parent the actions by their numbers.
  *
  * As no cost is negative, a branch is dropped as soon as its cost so far is not good enough. The first level is always
  * finished. A level that could go beyond the limit of transitions is not begun. */
@@ -27,6 +29,7 @@ typedef struct {
     uint8_t order[FK_BEAM]; /* places in branches, the best first */
     uint32_t count;
     uint32_t room; /* how many are kept, at most FK_BEAM */
+    int32_t is_last;
 } fk_beam_t;
 
 /* Whether a branch of at least this value is among the best so far. */
@@ -120,6 +123,9 @@ static inline void fk_branch_expand(const fk_problem_t *problem, const fk_node_t
         return;
     }
     value = value + fk_route_glide_cost(route, knot, arc_m, node->x_m, node->y_m, x_m, y_m, motion.turn_rad);
+    if (beam->is_last != 0) {
+        value = value + fk_route_wall_glide_cost(route, node->x_m, node->y_m, x_m, y_m);
+    }
     if (fk_beam_takes(beam, value, first_action) == 0) {
         return;
     }
@@ -161,7 +167,8 @@ FK_CACHE_ALIGNED void fk_beam_search(const fk_problem_t *problem, fk_plan_t *pla
             break;
         }
         to->count = 0U;
-        to->room = (level + 1U == levels) ? 1U : FK_BEAM;
+        to->is_last = (level + 1U == levels) ? 1 : 0;
+        to->room = (to->is_last != 0) ? 1U : FK_BEAM;
         for (parent = 0U; parent < parents; parent++) {
             const fk_node_t *from_node = &problem->root;
             uint32_t first_action = 0U;

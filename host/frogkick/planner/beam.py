@@ -2,7 +2,7 @@
 
 Level by level all branches that are carried are expanded by every action, and the ``WIDTH`` best of these
 are carried on. A branch is as good as what it would cost if it ended there: its cost so far and the terminal
-cost. All branches that are compared have the same length. These rules decide, in the C and here:
+cost, of which that of gliding beyond a wall counts at the last level alone. All branches that are compared have the same length. These rules decide, in the C and here:
 
 - Of equal values the lower first action is the better, then the branch that was found first: parents from the
   best to the worst, of each parent the actions by their numbers.
@@ -89,7 +89,7 @@ def search_beam(search: Search, levels: int, moves: bool) -> Any:
                 motion_of(search.table, row, here, action, search.motion)
                 step(search.poses[_HERE], search.motion, search.poses[_NEXT])
                 next_sums[found] = sums[branch] + motion_cost(search, _HERE, levels)
-                values[found] = ended_cost(search, _NEXT, next_sums[found])
+                values[found] = ended_cost(search, _NEXT, next_sums[found], level + 1 == levels)
                 next_firsts[found] = firsts[branch] if level > 0 else action
                 next_poses[found] = search.poses[_NEXT]
                 next_knot[found], next_place[found] = search.knot[_NEXT], search.place[_NEXT]

@@ -98,19 +98,23 @@ def course_cost(search: Search, level: int, motion: AnyArray) -> Any:
 
 
 @njit(**INNER)
-def ended_cost(search: Search, level: int, cost: Any) -> Any:
-    """Return what a branch costs that ends at a level, reached by ``search.motion`` and at a cost so far."""
+def ended_cost(search: Search, level: int, cost: Any, is_last: bool) -> Any:
+    """Return what a branch costs that ends at a level, reached by ``search.motion`` and at a cost so far.
+
+    Where it is not the search's last level, gliding beyond a wall costs nothing yet.
+    """
     settings = search.settings
     if settings.cost == costs.COST_PAPER:
         return cost
     here, before = search.poses[level], search.poses[level - 1]
     knot, place, turn = search.knot[level], search.place[level], search.motion[2]
-    glides = costs.glide_cost(settings, search.knots, search.step, knot, place, here, before, turn)
-    if settings.wall_weight_per_m > _F0:
+    cost = cost + course_cost(search, level, search.motion)
+    cost = cost + costs.glide_cost(settings, search.knots, search.step, knot, place, here, before, turn)
+    if is_last and settings.wall_weight_per_m > _F0:
         x = here[0] + settings.wall_glide * (here[0] - before[0])
         y = here[1] + settings.wall_glide * (here[1] - before[1])
-        glides = glides + costs.wall_cost(settings, x, y)
-    return (cost + course_cost(search, level, search.motion)) + glides
+        cost = cost + costs.wall_cost(settings, x, y)
+    return cost
 
 
 @njit(**INNER)

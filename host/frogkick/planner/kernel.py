@@ -163,7 +163,7 @@ def expand(search: Search, level: int, depth: int, first: int, action: int) -> b
         dynamics_after(search.table, search.rows[level], search.dynamics[level], action, after)
         search.rows[level + 1] = find_row(search.table, after)
         return True
-    cost = ended_cost(search, depth, cost)
+    cost = ended_cost(search, depth, cost, True)
     if not is_pruned(search, first, cost):
         search.best_cost[0] = cost
         search.best[0] = first

@@ -135,14 +135,8 @@ static inline float fk_route_huber(const fk_route_t *route, float distance2_m2)
                                              : FK_SQRT(distance2_m2) - route->half_huber_m;
 }
 
-/* What it costs that a point lies beyond the walls. */
-static inline float fk_route_wall_cost(const fk_route_t *route, float x_m, float y_m)
-{
-    const float beyond_x_m = fk_larger(0.0f, route->wall_min_m[0] - x_m) + fk_larger(0.0f, x_m - route->wall_max_m[0]);
-    const float beyond_y_m = fk_larger(0.0f, route->wall_min_m[1] - y_m) + fk_larger(0.0f, y_m - route->wall_max_m[1]);
-
-    return route->wall_weight_per_m * (beyond_x_m + beyond_y_m);
-}
+/* What it costs that a point lies beyond the walls: where there are any. */
+float fk_route_wall_cost(const fk_route_t *route, float x_m, float y_m);
 
 /* Stage cost of a motion that ends at (x_m, y_m), at least 0.
  * knot, arc_m: where on the route it began; *next_knot and *next_arc_m: where it ends. */

@@ -150,19 +150,23 @@ def test_of_equal_branches_the_lowest_first_action_is_taken(image: bytes, weight
 
 
 def test_of_equal_branches_that_are_found_late_the_lowest_first_action_is_taken() -> None:
-    """Only to glide beyond a wall costs anything. Left glides beyond it and is dear until it is undone."""
-    moves = np.array([[[0.0, 0.0, 0.0], [0.01, 0.03, 0.0], [0.01, -0.03, 0.0], [0.01, 0.0, 0.0]]])
+    """Only to glide off the route costs anything. Ten steps beside it, seven strokes of one or two or no step.
+
+    Five times two is on the route at once, and found first. What begins with one is there at the seventh.
+    """
+    unit_m, step = 2.0**-16, 2048  # of the table, so that all sums are exact; codes are rounded down
+    beside = np.array([32766.0 - 0.001, step + 0.4, 2.0 * step + 0.4, 0.0]) * unit_m
+    moves = np.array([[[0.01, left_m, 0.0] for left_m in beside]])
     image = synthetic.pack(np.zeros((1, 3)), moves, np.zeros((1, 4, 3)))
-    walls = WALLS | {"wall_x_min_m": -1.0, "wall_x_max_m": 1.0}
-    config = PlanConfig(0.0, 0.0, 0.0, 0.0, depth=3, **(walls | {"cost": ROUTE["cost"]}))
-    given = some_states(count(40, 400), 100, 6, spread_m=0.3)
-    given[0][:, 2:] = 0.0
-    rows, left_m = told(image, PATH, config, given), given[0][:, 1]
-    near, late = np.abs(left_m) < 0.065, (left_m > 0.015) & (left_m < 0.065)  # a stroke, and twice that of glide
-    far = left_m > 0.075
-    assert late.any() and far.any()
-    assert {row["action"] for row, there in zip(rows, near, strict=True) if there} == {1}
-    assert {row["action"] for row, there in zip(rows, far, strict=True) if there} == {2}
+    tables = open_image(image)
+    assert tables.motion_scale[1] == unit_m and list(tables.transitions[0, 1:, 1]) == [step, 2 * step, 0]
+    glide = {"glide_weight_per_m": 150.0, "glide_lead": 0.1, "cost": ROUTE["cost"]}
+    config = PlanConfig(0.0, 0.0, 0.0, 0.0, depth=3, **glide)
+    states, use, along = some_states(count(40, 400), 60, 6)
+    states[:], along[:] = 0.0, 0.0
+    states[:, 1] = -10.0 * step * unit_m
+    rows = told(image, STRAIGHT, config, (states, use, along))
+    assert {(row["action"], cost_of(row)) for row in rows} == {(1, 0.0)}
 
 
 def test_a_sequence_does_not_lead_beyond_a_wall_and_back() -> None:

@@ -135,8 +135,8 @@ static inline float fk_route_huber(const fk_route_t *route, float distance2_m2)
                                              : FK_SQRT(distance2_m2) - route->half_huber_m;
 }
 
-/* What it costs that a point lies beyond the walls: where there are any. */
-float fk_route_wall_cost(const fk_route_t *route, float x_m, float y_m);
+/* How far a point lies beyond the walls, m. */
+float fk_route_beyond_walls(const fk_route_t *route, float x_m, float y_m);
 
 /* Stage cost of a motion that ends at (x_m, y_m), at least 0.
  * knot, arc_m: where on the route it began; *next_knot and *next_arc_m: where it ends. */
@@ -167,7 +167,7 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     shortfall_m = route->stroke_max_m - fk_smaller(*next_arc_m - arc_m, route->stroke_max_m);
     cost = route->distance_weight_per_m * fk_route_huber(route, distance2_m2) + route->progress_weight_per_m * shortfall_m;
     if (route->wall_weight_per_m > 0.0f) {
-        cost = cost + fk_route_wall_cost(route, x_m, y_m);
+        cost = cost + route->wall_weight_per_m * fk_route_beyond_walls(route, x_m, y_m);
     }
     return cost;
 }
@@ -240,15 +240,15 @@ static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, 
     return route->glide_weight_per_m * fk_route_huber(route, across_m * across_m);
 }
 
-/* Terminal cost, at least 0, of gliding beyond the walls, straight on by wall_glide times the last motion. */
-static inline float fk_route_wall_glide_cost(const fk_route_t *route, float from_x_m, float from_y_m, float x_m,
-                                             float y_m)
+/* How far beyond the walls, m, the robot glides to from a motion's end: straight on, by wall_glide times that motion. */
+static inline float fk_route_glides_beyond_walls(const fk_route_t *route, float from_x_m, float from_y_m, float x_m,
+                                                 float y_m)
 {
     if (!(route->wall_weight_per_m > 0.0f)) {
         return 0.0f;
     }
-    return fk_route_wall_cost(route, x_m + route->wall_glide * (x_m - from_x_m),
-                              y_m + route->wall_glide * (y_m - from_y_m));
+    return fk_route_beyond_walls(route, x_m + route->wall_glide * (x_m - from_x_m),
+                                 y_m + route->wall_glide * (y_m - from_y_m));
 }
 
 #endif

@@ -212,12 +212,12 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
     route->ahead = (projection->held != 0U) ? 0U : FK_ROUTE_AHEAD;
 }
 
-float fk_route_wall_cost(const fk_route_t *route, float x_m, float y_m)
+float fk_route_beyond_walls(const fk_route_t *route, float x_m, float y_m)
 {
     const float beyond_x_m = fk_larger(0.0f, route->wall_min_m[0] - x_m) + fk_larger(0.0f, x_m - route->wall_max_m[0]);
     const float beyond_y_m = fk_larger(0.0f, route->wall_min_m[1] - y_m) + fk_larger(0.0f, y_m - route->wall_max_m[1]);
 
-    return route->wall_weight_per_m * (beyond_x_m + beyond_y_m);
+    return beyond_x_m + beyond_y_m;
 }
 
 int32_t fk_route_may_rest(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state)

@@ -1,9 +1,9 @@
 /* search_beam.c - a beam search over sequences of actions (Lowerre 1976): of each level the FK_BEAM best branches are
- * carried on. A branch's value is what it would cost if it ended there: its cost so far and the terminal cost. That
- * it would glide beyond a wall counts at the last level alone: before that the robot can still turn away, and strokes
- * that turn it to and fro would be dropped. All branches that are compared have the same length. Of equal values the
- * lower first action comes first, then the branch that was found first: parents in the order of their values, of each
- * parent the actions by their numbers.
+ * carried on. A branch's value is what it would cost if it ended there: its cost so far and the terminal cost. To
+ * glide beyond a wall costs the walls' weight at the last level alone, and before that only as much as to be as far
+ * beside the route: the robot can still turn away, and strokes that turn it to and fro would be dropped otherwise.
+ * All branches that are compared have the same length. Of equal values the lower first action comes first, then the
+ * branch that was found first: parents in the order of their values, of each parent the actions by their numbers.
  *
  * As no cost is negative, a branch is dropped as soon as its cost so far is not good enough. The first level is always
  * finished. A level that could go beyond the limit of transitions is not begun. */
@@ -123,9 +123,9 @@ static inline void fk_branch_expand(const fk_problem_t *problem, const fk_node_t
         return;
     }
     value = value + fk_route_glide_cost(route, knot, arc_m, node->x_m, node->y_m, x_m, y_m, motion.turn_rad);
-    if (beam->is_last != 0) {
-        value = value + fk_route_wall_glide_cost(route, node->x_m, node->y_m, x_m, y_m);
-    }
+    value = value
+          + ((beam->is_last != 0) ? route->wall_weight_per_m : route->distance_weight_per_m)
+                * fk_route_glides_beyond_walls(route, node->x_m, node->y_m, x_m, y_m);
     if (fk_beam_takes(beam, value, first_action) == 0) {
         return;
     }

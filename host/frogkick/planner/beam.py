@@ -2,7 +2,9 @@
 
 Level by level all branches that are carried are expanded by every action, and the ``WIDTH`` best of these
 are carried on. A branch is as good as what it would cost if it ended there: its cost so far and the terminal
-cost, of which that of gliding beyond a wall counts at the last level alone. All branches that are compared have the same length. These rules decide, in the C and here:
+cost. To glide beyond a wall has the walls' weight at the last level alone, and before that the weight of the
+distance from the route. All branches that are compared have the same length. These rules decide, in the C and
+here:
 
 - Of equal values the lower first action is the better, then the branch that was found first: parents from the
   best to the worst, of each parent the actions by their numbers.

@@ -71,7 +71,7 @@ def motion_cost(search: Search, level: int, depth: int) -> Any:
     deviation = costs.huber(distance2, settings.soft_distance_m)
     cost = settings.distance_weight_per_m * deviation + settings.progress_weight_per_m * shortfall
     if settings.wall_weight_per_m > _F0:
-        cost = cost + costs.wall_cost(settings, after[0], after[1])
+        cost = cost + settings.wall_weight_per_m * costs.beyond_walls(settings, after[0], after[1])
     return cost
 
 
@@ -101,7 +101,7 @@ def course_cost(search: Search, level: int, motion: AnyArray) -> Any:
 def ended_cost(search: Search, level: int, cost: Any, is_last: bool) -> Any:
     """Return what a branch costs that ends at a level, reached by ``search.motion`` and at a cost so far.
 
-    Where it is not the search's last level, gliding beyond a wall costs nothing yet.
+    Where it is not the search's last level, to glide beyond a wall costs as much as to be as far off the route.
     """
     settings = search.settings
     if settings.cost == costs.COST_PAPER:
@@ -110,10 +110,11 @@ def ended_cost(search: Search, level: int, cost: Any, is_last: bool) -> Any:
     knot, place, turn = search.knot[level], search.place[level], search.motion[2]
     cost = cost + course_cost(search, level, search.motion)
     cost = cost + costs.glide_cost(settings, search.knots, search.step, knot, place, here, before, turn)
-    if is_last and settings.wall_weight_per_m > _F0:
+    if settings.wall_weight_per_m > _F0:
+        weight = settings.wall_weight_per_m if is_last else settings.distance_weight_per_m
         x = here[0] + settings.wall_glide * (here[0] - before[0])
         y = here[1] + settings.wall_glide * (here[1] - before[1])
-        cost = cost + costs.wall_cost(settings, x, y)
+        cost = cost + weight * costs.beyond_walls(settings, x, y)
     return cost
 
 

@@ -286,11 +286,11 @@ def glide_cost(
 
 
 @njit(**INNER)
-def wall_cost(settings: Any, x: np.float32, y: np.float32) -> Any:
-    """Return what it costs that a point lies beyond the walls."""
+def beyond_walls(settings: Any, x: np.float32, y: np.float32) -> Any:
+    """How far a point lies beyond the walls, m."""
     beyond_x = beyond(x, settings.wall_x_min_m, settings.wall_x_max_m)
     beyond_y = beyond(y, settings.wall_y_min_m, settings.wall_y_max_m)
-    return settings.wall_weight_per_m * (beyond_x + beyond_y)
+    return beyond_x + beyond_y
 
 
 @njit(**INNER)

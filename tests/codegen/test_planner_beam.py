@@ -150,7 +150,7 @@ def test_of_equal_branches_the_lowest_first_action_is_taken(image: bytes, weight
 
 
 def test_of_equal_branches_that_are_found_late_the_lowest_first_action_is_taken() -> None:
-    """Only to glide off the route costs anything. Ten steps beside it, seven strokes of one or two or no step.
+    """Only to glide off the route costs anything. It is ten steps away; a stroke makes two, one or none.
 
     Five times two is on the route at once, and found first. What begins with one is there at the seventh.
     """

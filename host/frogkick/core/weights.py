@@ -92,7 +92,7 @@ class Weights:
     )] = 0.0  # fmt: skip
     wall_weight_per_m: Annotated[float, Weight(
         "cost per m that the robot's centre goes beyond the walls; 0: there are none",
-        "route: x how far each motion's end, and the point to which the last one glides, lie beyond the walls",
+        "route: x how far each motion's end, and the point to which the last glides, lie beyond the walls",
     )] = 0.0  # fmt: skip
     wall_glide: Annotated[float, Weight(
         "share of its last motion by which a robot is assumed to glide towards a wall",

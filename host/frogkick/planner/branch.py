@@ -101,7 +101,7 @@ def course_cost(search: Search, level: int, motion: AnyArray) -> Any:
 def ended_cost(search: Search, level: int, cost: Any, is_last: bool) -> Any:
     """Return what a branch costs that ends at a level, reached by ``search.motion`` and at a cost so far.
 
-    Where it is not the search's last level, to glide beyond a wall costs as much as to be as far off the route.
+    Before the search's last level, to glide beyond a wall costs as much as to be as far off the route.
     """
     settings = search.settings
     if settings.cost == costs.COST_PAPER:

@@ -8,12 +8,16 @@ from pathlib import Path
 import pytest
 from tests.bench import coremark, elastica_rod, rods, startup
 from tests.conftest import from_ci
+from tests.identification.made import robot
 
 from frogkick.core.errors import InputError
 
 
 @from_ci
-def test_the_benchmark_tells_every_cost(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_benchmark_tells_every_cost(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rods, "ROBOT", robot())
     rods.main(["--quick"])
     said = capsys.readouterr().out
     for title in ("lanes:", "actions:", "plates:", "nodes:", "library:", "a plain rod"):

@@ -398,7 +398,7 @@ def test_replay_a_recorded_run(here: Path, capsys: Capture, frog2022_dir: Path, 
 
 @from_ci
 def test_parity(here: Path, capsys: Capture) -> None:
-    options = ("--states", "300", "--chip-states", "60", "--loop-decisions", str(count(200, 200, 20)))
+    options = ("--states", "300", "--chip-states", "60", "--loop-decisions", str(count(40, 200, 20)))
     done = frogkick(capsys, "parity", *options, "--tables", rig.small_table(), "--json")
     assert done.code == 0
     assert done.json["states"] == 300

@@ -137,7 +137,7 @@ def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
 def test_so_it_does_over_very_many_states(built: Built, config: str) -> None:
     """The same instructions, not counted: very many states, few of them deep."""
     settings = CONFIGS[config]
-    number = -(-count(100_000, 1_000_000, 5000) // (len(made_up.KINDS) * len(CONFIGS)))
+    number = -(-count(50_000, 1_000_000, 5000) // (len(made_up.KINDS) * len(CONFIGS)))
     cases = make_cases(built.tables, PATH, number, SEED + 1, (0.7, 0.295, 0.005, 0.0))
     chip = ChipPlanner(built.bench)
     chip.configure(PATH, settings)
@@ -165,7 +165,7 @@ def loop_of(built: Built, config: PlanConfig, decisions: int = DECISIONS, seed: 
 
 @pytest.mark.parametrize(("config", "depth"), [("paper", 2), ("route", 1), ("budget", 3)])
 def test_a_whole_loop_is_the_same_everywhere(built: Built, config: str, depth: int) -> None:
-    settings, decisions = dataclasses.replace(CONFIGS[config], depth=depth), count(200, 200, 15)
+    settings, decisions = dataclasses.replace(CONFIGS[config], depth=depth), count(80, 200, 15)
     for seed in range(SEED, SEED + count(1, 5)):
         loop = loop_of(built, settings, decisions, seed)
         assert len(loop.decisions) == decisions

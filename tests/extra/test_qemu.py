@@ -38,7 +38,7 @@ CONFIGS = {
         config_of(load_robot("frog2022").planner), transitions_max=150
     ),
 }
-STATES = -(-count(100_000, 1_000_000, 10_000) // (len(COMPILERS) * len(made_up.KINDS) * len(CONFIGS)))
+STATES = -(-count(20_000, 1_000_000, 10_000) // (len(COMPILERS) * len(made_up.KINDS) * len(CONFIGS)))
 """Of each compiler, kind and cost: 10^5 in all, 10^6 in make test-full."""
 BATCH = 12_500  # as many as fit into the board's memory for code
 SEED = 386

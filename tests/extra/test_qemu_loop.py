@@ -75,7 +75,7 @@ def test_qemu_lives_through_the_same_loop(name: str, kind: str, tmp_path: Path) 
     file.write_bytes(image)
     native = firmware.build("native", file, robot, tmp_path / "native").image
     config = PlanConfig(depth=2)
-    loop = record_scenario(native, open_image(image), shape("ellipse"), config, count(200, 1000), SEED)
+    loop = record_scenario(native, open_image(image), shape("ellipse"), config, count(100, 1000), SEED)
     emitted, settings = emitted_firmware(image, tmp_path)
     (tmp_path / "calls.h").write_text(calls_header(loop))
     core = firmware_sources() / "core"

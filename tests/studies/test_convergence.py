@@ -25,7 +25,7 @@ def test_second_order_and_the_limit_at_the_default_step(
     capsys: pytest.CaptureFixture[str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     picture = tmp_path_factory.mktemp("convergence") / "order.png"
-    asked = ["study", "convergence", "--json", "--out", str(picture), "--every", str(count(9, 1, 50))]
+    asked = ["study", "convergence", "--json", "--out", str(picture), "--every", str(count(18, 1))]
     assert run_command(asked) == 0
     output = json.loads(capsys.readouterr().out)
     assert 1.7 < output["order"]["strokes"] < 2.3

@@ -207,8 +207,8 @@ def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
 
 @from_ci
 def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In make test with a path to learn from, and two candidates."""
-    if few := count(0, 0, 2):
+    """But with test-full with a path to learn from, and two candidates."""
+    if few := count(2, 0):
         monkeypatch.setattr(verdicts, "TRAIN", ("sine",))
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: catalogue(robot())[:few])
         monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})

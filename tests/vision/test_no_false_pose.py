@@ -19,7 +19,7 @@ def test_no_pose_without_a_tag() -> None:
     still = scene()
     tracker = Tracker(calibration(still))
     false = []
-    for k in range(count(200, 10_000, 25)):
+    for k in range(count(80, 10_000, 25)):
         spoilt = Conditions(
             blur_px=rng.uniform(0, 2), noise=rng.uniform(0, 12), light_slope=rng.uniform(0, 0.7),
             glare=int(rng.integers(0, 6)), wave_height_m=rng.uniform(0, 0.002), ripple_px=rng.uniform(0, 2),
@@ -103,7 +103,7 @@ def test_glare_and_blur_give_a_right_pose_or_none(conditions: dict[str, float]) 
     spoilt = scene(**conditions)
     tracker = Tracker(calibration(spoilt))
     rng = np.random.default_rng(17)
-    for _ in range(count(40, 300, 8)):
+    for _ in range(count(16, 300, 8)):
         truth = drawn_pose(spoilt, rng)
         tracker.forget()
         pose = tracker.observe(spoilt.picture(truth, rng)).pose

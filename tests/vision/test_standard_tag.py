@@ -178,7 +178,7 @@ def test_a_program_that_looked_for_one_ends_in_peace() -> None:
         import gc
         import numpy as np
         from frogkick.vision import tags
-        for _ in range({count(20, 100, 2)}):
+        for _ in range({count(5, 100, 2)}):
             tags.standard_detector.cache_clear()
             assert tags.find_standard(np.zeros((60, 80), np.uint8), 0) == []
             gc.collect()

@@ -13,6 +13,7 @@
 #define FK_WEAR_MOST 1.3f
 #define FK_WEAR_RESTARTED 18.0f     /* what a share explains after a restart: twice the penalty, so that it is no longer
                                        selected after 16 periods that say nothing of its limb */
+#define FK_WEAR_GONE_BY 1.0f        /* by how much more squared error of a period a limb is taken to do nothing, or no longer */
 #define FK_WEAR_APART 1e-3f         /* share of an unknown's information that must be independent of the selected ones */
 
 /* Variance of a period's prediction error if wear and current are known, for each axis: (1.2 mm)^2, (1.2 mm)^2,
@@ -96,12 +97,18 @@ static void curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, float
     }
 }
 
+/* Bit i: limb i fires in the action. */
+static uint32_t fires_of(const fk_tables_t *tables, uint32_t action)
+{
+    const uint8_t *masks = tables->action_rows + 4u * action;
+    return (uint32_t)masks[1] | (uint32_t)masks[2];
+}
+
 /* The error that tables of new limbs would have made, in the body frame, and its derivatives row[axis][unknown]. */
 static void regression(const fk_wear_t *wear, const fk_tables_t *tables, const fk_wear_period_t *period, float error[3],
                     float row[3][FK_WEAR_UNKNOWNS])
 {
-    const uint8_t *masks = tables->action_rows + 4u * period->action;
-    const uint32_t fires = (uint32_t)masks[1] | (uint32_t)masks[2];
+    const uint32_t fires = fires_of(tables, period->action);
     float sine;
     float cosine;
     fk_sincos(period->heading_rad, &sine, &cosine);
@@ -295,12 +302,57 @@ static float explained_by_limbs(const fk_wear_t *wear, const fk_tables_t *tables
     return sum;
 }
 
+/* Which limbs do nothing at all, of those that were worn before this period and still are. A wear curve bends at its
+ * end, where the robot turns otherwise than while something is left of the limb, and sums over secants cannot tell
+ * this. Each period in which the limb fires does: if the curve's end explains it better than the estimated share,
+ * everything is lost, until a period says otherwise. The period that first names a limb does not count, as it may be
+ * a misfire. */
+static void find_gone(fk_wear_t *wear, const fk_tables_t *tables, uint32_t fires, const uint16_t *before,
+                      const float error[3], const float weight[3], float row[3][FK_WEAR_UNKNOWNS])
+{
+    float left[3];
+    float changes[3];
+    float at_end[3];
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        left[axis] = error[axis];
+        for (uint32_t i = 0u; i < 3u; ++i) {
+            left[axis] = left[axis] - row[axis][i] * wear->current[i];
+        }
+    }
+    for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
+        if (((fires >> limb) & 1u) != 0u) {
+            curve(tables, limb, wear->lost[limb], changes);
+            for (uint32_t axis = 0u; axis < 3u; ++axis) {
+                left[axis] = left[axis] - changes[axis];
+            }
+        }
+    }
+    for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
+        const int32_t was_gone = (before[limb] == FK_LOST_MAX) ? 1 : 0;
+        int32_t is_gone = was_gone;
+        if (((fires >> limb) & 1u) != 0u) {
+            float less = 0.0f;
+            curve(tables, limb, wear->lost[limb], changes);
+            curve(tables, limb, FK_LOST_MAX, at_end);
+            for (uint32_t axis = 0u; axis < 3u; ++axis) {
+                const float other = (left[axis] + changes[axis]) - at_end[axis];
+                less = less + weight[axis] * (left[axis] * left[axis] - other * other);
+            }
+            is_gone = (less > ((was_gone != 0) ? -FK_WEAR_GONE_BY : FK_WEAR_GONE_BY)) ? 1 : 0;
+        }
+        if (before[limb] > 0u && wear->lost[limb] > 0u && is_gone != 0) {
+            wear->lost[limb] = FK_LOST_MAX;
+        }
+    }
+}
+
 void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t *period)
 {
     float error[3];
     float weight[3];
     float row[3][FK_WEAR_UNKNOWNS];
     float square = 0.0f;
+    uint16_t before[FK_LIMBS_MAX];
     uint32_t next = 0u;
     const uint32_t unknowns = 3u + tables->limbs;
     if (wear->learn != FK_LEARN_ON || period->action >= tables->actions) {
@@ -334,6 +386,10 @@ void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t 
         }
         wear->vector[i] = faded + ((a * error[0] + b * error[1]) + c * error[2]);
     }
+    for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
+        before[limb] = wear->lost[limb];
+    }
     estimate(wear, tables);
+    find_gone(wear, tables, fires_of(tables, period->action), before, error, weight, row);
     fk_wear_use(wear, tables);
 }

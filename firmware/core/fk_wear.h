@@ -4,7 +4,8 @@
  * current. This is recursive least squares with exponential forgetting (Ljung 1999, System Identification, section
  * 11.2): the normal equations of all periods are summed, and the weight of a period fades. Limbs and current enter by
  * forward selection, as long as one more explains more than its penalty. If no limb is worn, none is selected, and
- * the planner decides as without this estimate.
+ * the planner decides as without this estimate. Whether a worn limb has lost everything is then decided by single
+ * periods.
  *
  *   unknowns     a current in the world frame (m/s, m/s, rad/s), then the lost share of each limb (0 to 1)
  *   rows         derivatives of a period's forward, left (m) and turn (rad) in the body frame at its start

@@ -4,7 +4,8 @@ The prediction error of each period is regressed on the wear curves of the limbs
 current. This is recursive least squares with exponential forgetting (Ljung 1999, System Identification,
 section 11.2): the normal equations of all periods are summed, and the weight of a period fades. Limbs and
 current enter by forward selection, as long as one more explains more than its penalty. If no limb is worn,
-none is selected, and the planner decides as without this estimate.
+none is selected, and the planner decides as without this estimate. Whether a worn limb has lost everything is
+then decided by single periods.
 
 Twin and C take the same float32 operations in the same order, and round each once.
 """
@@ -15,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from frogkick.core.arrays import Float32, Float64
+from frogkick.core.arrays import Float32, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.planner import floats
 from frogkick.tables.image import Tables
@@ -36,6 +37,7 @@ _FADING, _OUTLIER_FADING = _F(0.96), _F(0.3)
 _PENALTY, _OUTLIER, _ERROR_MOST = _F(9), _F(8), _F(1e6)
 _SECANT = 22937
 _LEAST, _MOST, _APART = _F(0.02), _F(1.3), _F(1e-3)
+_GONE_BY = _F(1)
 _RESTARTED = _F(18)  # twice the penalty: it fades within 16 periods that tell nothing of the limb
 
 
@@ -140,7 +142,39 @@ class WearFilter:
         faded = kept * self._vector
         faded[:3] = _FADING * self._vector[:3] - (_FADING - kept) * of_limbs
         self._vector = faded + ((parts[0] + parts[1]) + parts[2])
+        before = self.codes
         self._select()
+        for column in range(3):
+            error = error - rows[:, column] * self.current[column]
+        self._find_gone(error, weight, action, before)
+
+    def _find_gone(self, error: Float32, weight: Float32, action: int, before: Int64) -> None:
+        """Find limbs that do nothing at all, of those that were worn before the period and still are.
+
+        A wear curve bends at its end, where the robot turns otherwise than while something is left of the
+        limb, and sums over secants cannot tell this. A period in which the limb fires does: if the curve's
+        end explains it better than the estimated share, everything is lost, until a period says otherwise.
+        The period that first names a limb does not count, as it may be a misfire.
+
+        Args:
+            error: (3,) of tables of new limbs, without what the current does.
+            weight: (3,) 1 / variance of it.
+            action: of the period.
+            before: (l,) shares before the period.
+        """
+        was_gone = before == LOST_MAX
+        fires, is_gone = self._fires[action], was_gone.copy()
+        curves = {limb: self._curve(limb, int(self.codes[limb])) for limb in fires}
+        left = error
+        for limb in fires:
+            left = left - curves[limb]
+        for limb in fires:
+            other = (left + curves[limb]) - self._curve(limb, LOST_MAX)
+            less = _F(0)
+            for part in weight * (left * left - other * other):
+                less = less + part
+            is_gone[limb] = less > (-_GONE_BY if was_gone[limb] else _GONE_BY)
+        self.codes[is_gone & (before > 0) & (self.codes > 0)] = LOST_MAX
 
     def _regression(
         self, error_world: Float32, heading_rad: np.float32, action: int, period_s: np.float32

@@ -50,7 +50,7 @@ CANNOT_FOLLOW = "cannot follow"
 """The beginning of the reason why a run with a lost limb ended."""
 
 LOST_FOR = 3
-"""Number of successive decisions with a limb estimated as lost, after which it is named as lost."""
+"""Number of a limb's strokes in a row after which it must be estimated as lost, so that it is named so."""
 
 BELIEVED_AGAIN = 0.5
 """Lost share below which a limb that was named as lost works again."""
@@ -302,9 +302,9 @@ def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
 
     Returns:
         In order of time, each with ``time_s`` of the decision, ``limb``, ``event`` and the lost ``share``.
-        Events: ``worn``: a share above 0; ``lost``: at least 0.8 of its contribution in LOST_FOR successive
-        decisions, which is rare for a limb that misfires; ``works``: less than 0.5 after it was lost, or 0
-        after it was worn.
+        Events: ``worn``: a share above 0; ``lost``: at least 0.8 of its contribution, which LOST_FOR of
+        its strokes in a row have shown: that is rare for a limb that misfires; ``works``: less than 0.5 after
+        it was lost, or 0 after it was worn.
     """
     if "lost" not in run.decisions.extra:
         return None
@@ -312,10 +312,11 @@ def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
     codes = np.asarray(run.decisions.extra["lost"])[:, : len(limbs)]
     named, seems_lost = dict.fromkeys(limbs, "works"), dict.fromkeys(limbs, 0)
     events: list[dict[str, Any]] = []
-    for time_s, row in zip(run.decisions.time_s, codes, strict=True):
-        for limb, code in zip(limbs, row, strict=True):
+    for time_s, row, mask in zip(run.decisions.time_s, codes, _fired_before(run), strict=True):
+        for index, (limb, code) in enumerate(zip(limbs, row, strict=True)):
             share = float(code) / LOST_MAX
-            seems_lost[limb] = seems_lost[limb] + 1 if code >= LIMB_GONE else 0
+            shown = mask >> index & 1
+            seems_lost[limb] = seems_lost[limb] + shown if code >= LIMB_GONE else 0
             if seems_lost[limb] >= LOST_FOR:
                 event = "lost"
             elif named[limb] == "lost" and share >= BELIEVED_AGAIN:
@@ -326,6 +327,17 @@ def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
                 named[limb] = event
                 events.append({"time_s": float(time_s), "limb": limb, "event": event, "share": share})
     return events
+
+
+def _fired_before(run: RunLog) -> list[int]:
+    """Mask of the limbs whose pulses ended between each decision and the one before it."""
+    masks = [0] * len(run.decisions)
+    ends_s = run.strokes.time_s + run.strokes.pulse_s
+    until = np.searchsorted(run.decisions.time_s, ends_s, side="right").tolist()
+    for decision, mask in zip(until, run.strokes.limb_mask.tolist(), strict=True):
+        if decision < len(masks):
+            masks[decision] |= mask
+    return masks
 
 
 def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]:

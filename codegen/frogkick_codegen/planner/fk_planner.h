@@ -91,8 +91,8 @@ typedef struct {
     float course_weight_per_m;   /* route: x the last motion; with the heading it is the course of a branch's end */
     float glide_weight_per_m;    /* route: x distance from the path of the point to which a branch's end glides */
     float glide_lead;            /* route: x the last motion, turned further, by which a branch's end glides */
-    float wall_weight_per_m;     /* route: x how far a branch's end, and the point to which it glides, lie beyond the
-                                  * walls */
+    float wall_weight_per_m;     /* route: x how far each motion's end, and the point to which the last glides, lie
+                                  * beyond the walls */
     float wall_glide;            /* route: x the last motion, by which the robot glides towards a wall */
     float wall_x_min_m;          /* route: where its centre may be, world */
     float wall_x_max_m;          /* likewise */

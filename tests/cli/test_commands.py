@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import pytest
 from tests.cli.commands import frogkick, listing
-from tests.conftest import count, from_ci, some
+from tests.conftest import FULL, count, from_ci, some
 from tests.library.synthetic import Known
 from tests.runs import rig
 
@@ -166,8 +166,8 @@ def test_tables_within_a_budget(
     here: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a made library: nothing but the unseen states is simulated, and they are not its."""
-    monkeypatch.setattr(fitting, "_SAMPLES", (count(8192, 8192, 1024), 131_072))
-    monkeypatch.setattr(fitting, "_SAMPLES_A_CELL", count(64, 64, 16))
+    monkeypatch.setattr(fitting, "_SAMPLES", (count(1024, 8192), 131_072))
+    monkeypatch.setattr(fitting, "_SAMPLES_A_CELL", count(16, 64))
     lib = tmp_path / "made.h5"
     write_library(Known(1, 3).library(100, 2), lib)
     common = ("--test-states", "4", "--json", "--out", "x.fkt")
@@ -195,9 +195,9 @@ def test_tables_within_a_budget(
 
 def test_codegen(here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     table = rig.small_table()
-    monkeypatch.setitem(building.STATES, 1, count(60, 60, 12))
-    monkeypatch.setitem(building.STATES, 2, count(30, 30, 6))
-    monkeypatch.setitem(building.STATES, 3, count(12, 12, 3))
+    monkeypatch.setitem(building.STATES, 1, count(12, 60))
+    monkeypatch.setitem(building.STATES, 2, count(6, 30))
+    monkeypatch.setitem(building.STATES, 3, count(3, 12))
     done = frogkick(capsys, "codegen", table, "--out", "emitted", "--json")
     assert done.code == 0
     assert sorted(done.json["files"]) == sorted(path.name for path in Path("emitted").iterdir())
@@ -222,7 +222,7 @@ def test_firmware_build(
 
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):  # which takes seconds to fill
         monkeypatch.setenv(name, str(cache_folder("zig")))
-    if count(2, 2, 1) == 2:  # else the first is what some other test had compiled, elsewhere too
+    if FULL:  # else the first is what some other test had compiled, elsewhere too
         compile_anew()
     done = frogkick(
         capsys, "firmware", "build", "--target", target, "--tables", table, "--out", "a/fw", "--json"

@@ -119,7 +119,7 @@ def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 @pytest.mark.parametrize("config", CONFIGS)
 def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
     settings = CONFIGS[config]
-    cases = make_cases(built.tables, PATH, count(160, 20_000, 34), SEED)
+    cases = make_cases(built.tables, PATH, count(80, 20_000, 34), SEED)
     chip = ChipPlanner(built.bench)
     chip.configure(PATH, settings)
     for lost in ([0, 0, 0, 0], [9000, 0, 32767, 20_000]):

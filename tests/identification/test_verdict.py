@@ -263,7 +263,7 @@ def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(frog2022_dir: Pat
     folder = frog2022_dir.parent / "misfire"
     if not folder.is_dir():
         pytest.skip("no logs of misfires beside the recorded runs")
-    names = ("line", "sine", "eight", "ellipse")[: count(2, 4)]
+    names = ("line", "eight", "sine", "ellipse")[:: count(2, 1)]
     train = [read_segments(folder / f"{name}.h5", robot()) for name in names]
     outcome = identify(train, [read_segments(folder / "bends.h5", robot())], robot())
     tested = outcome.tested

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from tests.chunks.test_chunks import Cluster, kill_one, needs_distributed
 from tests.conftest import count, from_ci
+from tests.identification.made import robot
 
 from frogkick.core.errors import FrogkickError
 from frogkick.library import build_library
-from frogkick.robot import load_robot
 
-ROBOT = load_robot("frog2022")
-STATES, SEED = count(100, 100, 66), 5  # half of them simulated, 4 parts or 3
+ROBOT = robot()
+STATES, SEED = count(66, 100), 5  # half of them simulated, 4 parts or 3
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_a_killed_worker_changes_no_byte(cluster: Cluster, here: bytes, tmp_path
     assert reported[0] == 0
     assert reported[-1] == STATES * 9
     assert out.read_bytes() == here
-    cluster.workers += [cluster.add_worker() for _ in range(count(1, 1, 0))]
+    cluster.workers += [cluster.add_worker() for _ in range(count(0, 1))]
 
 
 @from_ci

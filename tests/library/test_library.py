@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from tests.conftest import count, from_ci, some
 from tests.der.single import simulate_action
+from tests.identification.made import robot
 
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.library import (
@@ -31,14 +32,14 @@ from frogkick.library import (
 )
 from frogkick.library.sampling import box_velocities
 from frogkick.library.starts import rigid_starts
-from frogkick.robot import load_robot, mirror_of, parse_robot
+from frogkick.robot import mirror_of, parse_robot
 from frogkick.tables.image import open_image
 
-ROBOT = load_robot("frog2022")
+ROBOT = robot()
 STATES, SEED = 5, 11
-SWUM = count(24, 24, 12)
-RECORD_S = count(5, 5, 0)  # where nobody looks at it
-PERIOD_MS = count(1425, 1425, 200)
+SWUM = count(12, 24)
+RECORD_S = count(0, 5)  # where nobody looks at it
+PERIOD_MS = count(200, 1425)
 
 
 @pytest.fixture(scope="module")
@@ -263,7 +264,7 @@ class Stop(Exception):
 
 @from_ci
 def test_a_stopped_build_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
-    states = count(70, 70, 34)  # half of them simulated, 3 parts or 2
+    states = count(34, 70)  # half of them simulated, 3 parts or 2
     build_library(ROBOT, states, SEED, 2, tmp_path / "whole.h5", record_s=2.0)
     out = tmp_path / "out.h5"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import json
 import os
 import subprocess
 import sys
@@ -219,3 +220,22 @@ def test_one_option_names_the_robot_s_file_everywhere() -> None:
             seen += 1
         assert "--robot" not in output or "--model" in output or " ".join(names) in talks, names
     assert seen > 8
+
+
+def test_what_a_users_file_prints_is_not_in_the_json(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lines = "print('loaded')\nclass Says:\n    def flow(self, time_s, at):\n        print('asked')\n"
+    (tmp_path / "says.py").write_text(lines + "        return 0.0, 0.0\n")
+    told = '\n[[effect]]\nfile = "says.py"\nclass = "Says"\n'
+    (tmp_path / "robot.toml").write_text("\ufeff" + frogkick.load_robot("frog2022").toml + told)
+    for workers in ([], ["--workers", "2"]):
+        if workers:
+            words = ["library", "build", str(tmp_path / "robot.toml"), "--states", "1", "--record-s", "0"]
+            words += ["--out", str(tmp_path / "l.h5"), *workers]
+        else:
+            words = ["simulate", str(tmp_path / "robot.toml"), "--actions", "B"]
+        assert run_command([*words, "--json"]) == 0
+        printed = capfd.readouterr()
+        assert isinstance(json.loads(printed.out), dict)
+        assert "loaded" in printed.err

@@ -287,11 +287,13 @@ HUGE = 10**400
         ('[[effect]]\nfile = "mine.py"\n', "has no effect class None"),
         ('[[effect]]\nfile = "mine.py"\nclass = "Wirl"\n', "did you mean 'Whirl'"),
         ('[[effect]]\nfile = "broken.py"\n', "does not run: ZeroDivisionError"),
+        ('[[effect]]\nfile = "ends.py"\n', "does not run: SystemExit: 0"),
     ],
 )
 def test_a_wrong_world_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "broken.py").write_text("1 / 0\n")
+    (tmp_path / "ends.py").write_text("raise SystemExit(0)\n")
     (tmp_path / "world.toml").write_text(text)
     with pytest.raises(InputError, match=words) as caught:
         read_world(tmp_path / "world.toml", load_robot("frog2022"))
@@ -317,6 +319,11 @@ def test_a_method_that_gives_nonsense_is_named(tmp_path: Path) -> None:
             "stroke(self, stroke, history, rng):\n        return 5",
             "stroke gave 5, needed is a Stroke or None",
         ),
+        (  # a typo had no effect at all
+            "stroke(self, stroke, history, rng):\n        stroke.gian = 0.5",
+            "stroke fails: AttributeError: 'Stroke' object has no attribute 'gian'",
+        ),
+        ("flow(self, time_s, position_world_m):\n        raise SystemExit(0)", "flow fails: SystemExit: 0"),
     ],
 )
 def test_a_method_that_fails_is_named(tmp_path: Path, method: str, words: str) -> None:
@@ -334,6 +341,23 @@ def test_what_is_no_finite_number_is_refused(tmp_path: Path, given: str) -> None
         acting = Acting([make_effect({"file": "bad.py"}, tmp_path)], ROBOT, [RNG])
         with pytest.raises(InputError, match=f"give a {hook} of .*: values must be finite"):
             acting.stroke(0, 0, 0.0) if hook == "stroke" else acting.fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("change", ["limb = 'rear_left'", "index = 3", "time_s += 0.1"])
+def test_a_stroke_stays_that_of_its_limb_at_its_time(tmp_path: Path, change: str) -> None:
+    """Such a change had no effect, and no word was said."""
+    lines = f"class Bad:\n    def stroke(self, stroke, history, rng):\n        stroke.{change}\n"
+    (tmp_path / "bad.py").write_text(lines)
+    acting = Acting([make_effect({"file": "bad.py"}, tmp_path)], ROBOT, [RNG])
+    with pytest.raises(InputError, match=r"which was one of .* at 1\.5 s: change its gain, delay_s and dur"):
+        acting.stroke(0, 0, 1.5)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_world_as_an_editor_on_windows_writes_it(tmp_path: Path, end: str) -> None:
+    text = "\ufeff" + end.join(["[[effect]]", 'name = "battery_sag"', "loss_per_min = 0.2", ""])
+    (tmp_path / "world.toml").write_bytes(text.encode())
+    assert read_world(tmp_path / "world.toml").effects[0].value("loss_per_min") == 0.2
 
 
 def test_a_fix_that_is_none_is_named(tmp_path: Path) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
-from typing import Any
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from typing import Any, TextIO
 
 import typer
 from rich.console import Console
@@ -76,12 +78,28 @@ def say_left_out(rows: Sequence[Mapping[str, str]]) -> None:
         say(f"run {row['run']!r} is LEFT OUT: {row['reason']}")
 
 
+_results: list[TextIO] = []
+"""The last is where results are printed; without one it is stdout."""
+
+
+@contextmanager
+def results_alone() -> Iterator[None]:
+    """Print only results to stdout; what a user's own file prints, such as an effect, goes to stderr."""
+    _results.append(sys.stdout)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _results.pop()
+
+
 def show(values: Mapping[str, Any], as_json: bool, text: str = "", passed: bool = True) -> None:
     """Print a result: as one JSON object, or as text (by default the values, one a line).
 
     If it has not ``passed``, the command ends with exit code 1.
     """
-    print(json_text(values) if as_json else text or "\n".join(text_lines(values)))
+    written = json_text(values) if as_json else text or "\n".join(text_lines(values))
+    print(written, file=_results[-1] if _results else sys.stdout)
     if not passed:
         raise typer.Exit(1)
 

@@ -7,13 +7,14 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 import typer
 
+from frogkick.cli.common import results_alone
 from frogkick.core.errors import InputError
 
 PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
@@ -132,7 +133,8 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(command)
     def checked(**options: Any) -> None:
         require_apart(options)
-        command(**options)
+        with results_alone() if options.get("json") else nullcontext():
+            command(**options)
 
     signature = inspect.signature(command, eval_str=True)
     parameters = []

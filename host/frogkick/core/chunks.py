@@ -126,6 +126,7 @@ _worker: tuple[Callable[[Any, Any], Any], Any] | None = None
 def _start_worker(start: Callable[..., Any], given: tuple[Any, ...], run: Callable[[Any, Any], Any]) -> None:
     global _worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business: it ends the workers
+    sys.stdout = sys.stderr  # an effect of a user's own file may print, and stdout is the parent's alone
     _worker = (run, start(*given))
 
 

@@ -12,7 +12,7 @@ from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float32, Float64
 
 
-@dataclass
+@dataclass(slots=True)
 class Fix:
     """A position fix of a camera or a tracker. Effects may change it before it arrives.
 

@@ -111,15 +111,21 @@ class Acting:
             body: state of the robot, for effects that need it (``asks_body``).
 
         Raises:
-            InputError: an effect gave a stroke that is not finite.
+            InputError: an effect gave a stroke that is not finite, or of another limb or time.
         """
-        stroke = Stroke(self._names[limb], limb, time_s, body=body)
+        given_stroke = (self._names[limb], limb, time_s)
+        stroke = Stroke(*given_stroke, body=body)
         for effect in self.effects:
             given = _called(effect, "stroke", stroke, self.histories[lane], self._rngs[lane])
             stroke = _of_kind(Stroke, effect, "stroke", given) or stroke
         self.histories[lane].strokes.append((time_s, limb))
         if not _finite(stroke.gain, stroke.delay_s, stroke.duration_scale):
             raise InputError(f"effects {self.effects} give a stroke of {stroke}: values must be finite")
+        if (stroke.limb, stroke.index, stroke.time_s) != given_stroke:
+            raise InputError(
+                f"effects {self.effects} give a stroke of {stroke}, which was one of {given_stroke[0]!r} at "
+                f"{time_s:g} s: change its gain, delay_s and duration_scale only"
+            )
         stroke.gain = min(2.0, max(0.0, stroke.gain))
         stroke.delay_s = max(0.0, stroke.delay_s)
         stroke.duration_scale = min(10.0, max(0.1, stroke.duration_scale))
@@ -264,7 +270,7 @@ def _called(effect: Effect, hook: str, *given: Any) -> Any:
     """Return what an effect's method gives; an error in a user's file is an ``InputError``."""
     try:
         return getattr(effect, hook)(*given)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if isinstance(error, InputError) or type(effect).__module__.startswith("frogkick."):
             raise
         raise InputError(

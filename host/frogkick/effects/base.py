@@ -83,14 +83,14 @@ class Body:
     velocity_body: tuple[float, float, float]
 
 
-@dataclass
+@dataclass(slots=True)
 class Stroke:
-    """A stroke of a limb, which an effect may change.
+    """A stroke of a limb, of which an effect may change gain, delay and duration.
 
     Attributes:
-        limb: name of the limb.
-        index: index of the limb.
-        time_s: start of its pulse.
+        limb: name of the limb; not to be changed.
+        index: index of the limb; not to be changed.
+        time_s: start of its pulse; not to be changed.
         gain: share of the measured stroke, 0 to 2.
         delay_s: delay of the stroke after its pulse, 0 or more.
         duration_scale: duration of the limb's return over the measured one, 0.1 to 10.

@@ -122,7 +122,7 @@ def effect_classes(path: Path) -> list[type]:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(
             f"effect file {str(path)!r} does not run: {type(error).__name__}: {error}; correct it"
         ) from None
@@ -155,7 +155,7 @@ def _own(path: Path, name: object, values: dict[str, Any]) -> Effect:
         made: Effect = kind(**values)
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(
             f"effect {kind.__name__!r} cannot be made with {values}: {type(error).__name__}: {error}"
         ) from None
@@ -205,7 +205,7 @@ def read_world(path: World | Path | str, robot: Robot | None = None) -> World:
         raise InputError(f"world is a {type(path).__name__}: give fk.World([...]) of effects, or a TOML file")
     file = existing_file(path, "world file")
     try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        content = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"world file {str(path)!r} cannot be read as TOML: {error}") from None
     wrong = sorted(set(content) - {"effect"})

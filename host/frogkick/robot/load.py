@@ -93,7 +93,7 @@ def load_robot(name_or_path: Robot | str | Path) -> Robot:
     else:
         path = existing_file(text, "robot file")
     try:
-        content = path.read_text(encoding="utf-8")
+        content = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"robot file {text!r} cannot be read as UTF-8 text: {error}") from error
     return parse_robot(content, source=text, folder=path.parent)
@@ -117,7 +117,7 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         if not isinstance(name, str) or profiles is None or "profile" in table:
             raise InputError(f"{source}: profiles_file needs a file name, a folder and no [[profile]]")
         file = existing_file(profiles / name, "profiles file")
-        table["profile"] = _parse_toml(file.read_text(encoding="utf-8"), str(name)).get("profile", [])
+        table["profile"] = _parse_toml(file.read_text(encoding="utf-8-sig"), str(name)).get("profile", [])
     default = table.pop("limb_default", {})
     limbs = table.get("limb")
     if not isinstance(default, Mapping):

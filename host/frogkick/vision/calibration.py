@@ -308,7 +308,7 @@ def read_calibration(path: Path | str) -> Calibration:
     """
     file = existing_file(path, "calibration")
     try:
-        tables = tomllib.loads(file.read_text(encoding="utf-8"))
+        tables = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"calibration {str(path)!r} is not TOML: {error}") from error
     except UnicodeError as error:

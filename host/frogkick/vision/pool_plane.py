@@ -44,7 +44,7 @@ def read_corners(path: Path | str) -> Float64:
             with file.open(encoding="utf-8-sig", newline="") as handle:
                 rows = [(row["x_px"], row["y_px"]) for row in csv.DictReader(handle)]
         else:
-            rows = tomllib.loads(file.read_text(encoding="utf-8"))["corners_px"]
+            rows = tomllib.loads(file.read_text(encoding="utf-8-sig"))["corners_px"]
         corners = np.array([[float(x), float(y)] for x, y in rows])
     except tomllib.TOMLDecodeError as error:
         raise InputError(

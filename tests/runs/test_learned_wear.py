@@ -187,7 +187,7 @@ def test_a_current_on_a_straight_way_is_no_limb(table: Path, way_deg: int) -> No
 def test_events_tell_when_a_limb_is_named_and_believed_again(table: Path) -> None:
     plain = fk.run(table, "ellipse", robot="pool", plan="host", time_limit_s=24.0)
     assert plain.as_json()["limb_events"] is None
-    shares = [0.0, 0.3, 0.9, 0.9, 0.3, 0.9, 0.9, 0.85, 0.82, 0.6, 0.82, 0.4, 0.0, 0.2, 0.0]
+    shares = [0.0, 0.3, 0.9, 0.9, 0.3, *[0.9] * 4, 0.85, 0.82, 0.6, 0.82, 0.4, 0.0, 0.2, 0.0]
     rests = 6  # front_left does not fire before this decision, so the share says nothing new there
     codes = np.zeros((len(plain.log.decisions), 8), dtype=np.int64)
     codes[: len(shares), 1] = np.round(np.array(shares) * LOST_MAX)

@@ -49,7 +49,7 @@ LEARN, LOST = "learn", "lost_"
 CANNOT_FOLLOW = "cannot follow"
 """The beginning of the reason why a run with a lost limb ended."""
 
-LOST_FOR = 3
+LOST_FOR = 5
 """Number of a limb's strokes in a row after which it must be estimated as lost, so that it is named so."""
 
 BELIEVED_AGAIN = 0.5

@@ -128,14 +128,13 @@ def test_a_run_s_log_does_not_end_the_process(tmp_path: Path) -> None:
     program = (
         "import resource, sys, frogkick as fk\n"
         "sys.dont_write_bytecode = True\n"
-        "found = fk.run(robot='pool', time_limit_s=3.0)\n"
+        "found = fk.run(sys.argv[1], robot='pool', time_limit_s=3.0)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))\n"
         "try:\n    found.save('run.h5')\n"
         "except fk.InputError as error:\n    print(error)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", program, rig.small_table()]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "cannot write 'run.h5': File too large; make room or choose another --out\n"
     assert list(tmp_path.iterdir()) == []

@@ -116,7 +116,7 @@ def test_a_pipe_is_not_replaced_by_a_picture(
         (["export", "RUN", "--out", "OUT"], "--csv, --mcap: give exactly one"),
         (["export", "RUN", "--csv", "--mcap", "--out", "OUT"], "--csv, --mcap: give exactly one"),
         (["export", "RUN", "--mcap", "--out", "."], "is a folder"),
-        (["export", "RUN", "--csv", "--out", "RUN"], "is a file"),
+        (["export", "RUN", "--csv", "--out", "RUN"], "is read by this command"),
         (["export", "none.h5", "--csv", "--out", "OUT"], "does not exist"),
         (["log", "show", "RUN", "--out", "OUT.jpg"], "does not end in .png, .gif or .mp4"),
         (["log", "compare", "RUN", "RUN", "--out", "OUT.gif"], "does not end in .png: name"),

@@ -422,7 +422,8 @@ def test_bad_arguments_are_one_clear_line_each(tmp_path: Path, capsys: pytest.Ca
     cases: list[tuple[list[str | Path], str]] = [
         (["missing.h5", "--robot", name, "--out", new, "--push", "ble"], "neither ble:NAME nor serial:PORT"),
         ([run, "--robot", name, "--out", full], "is not empty"),
-        ([run, "--robot", name, "--out", run], "is a file"),
+        ([run, "--robot", name, "--out", full / "kept"], "is a file"),
+        ([run, "--robot", name, "--out", run], "is read by this command"),
         ([run, "--robot", "frog2023", "--out", new], "no robot 'frog2023'"),
         ([run, "--robot", "hexapod", "--out", new], "the model is 'hexapod'"),
         (["missing.h5", "--robot", name, "--out", new], "missing.h5"),

@@ -146,6 +146,15 @@ def test_parts_on_several_processors_are_what_one_would_make(
         assert np.array_equal(one.difference, other.difference)
 
 
+def test_effects_of_the_robot_s_own_file_are_part_of_its_predictions(swim: Segments) -> None:
+    own = replace(robot(), effects=({"name": "limb_wear", "limb": "rear_left", "gain": 0.7},))
+    ((found,), (wanted,), (plain,)) = rollouts_of(
+        [Model(own, (), NOISE), worn(0.7), Model(robot(), (), NOISE)], [swim]
+    )
+    assert np.array_equal(found.residuals, wanted.residuals, equal_nan=True)
+    assert not np.array_equal(found.residuals, plain.residuals, equal_nan=True)
+
+
 def test_work_that_waits_for_a_thread_is_done_too(swim: Segments) -> None:
     def once(gain: float) -> float:
         ((rollout,),) = rollouts_of([worn(gain)], [swim])

@@ -10,6 +10,7 @@ from made import make_swim, robot, term
 from tests.conftest import from_ci
 
 from frogkick.effects.acting import LEG_S
+from frogkick.effects.limbs import DELAYS_S
 from frogkick.identification.backward import (
     backward_elimination,
     revise,
@@ -26,10 +27,12 @@ from frogkick.identification.fit import (
     Model,
     _damped_step,
     derivatives,
+    deviances_of,
     difference_steps,
     fit,
 )
 from frogkick.identification.law_kinds import kinds_of
+from frogkick.identification.refine import from_grids
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import deviance_of
@@ -64,6 +67,19 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
     assert len(confounded) == 2
     assert found.model.terms[0].values[0] == pytest.approx(0.7, abs=0.01)
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
+
+
+def test_the_delay_of_a_limb_leaves_a_local_minimum() -> None:
+    """A stroke's influence ripples with its delay, as the frame rings: descent alone stays where it began."""
+    data = nominal_fit([make_swim([{**WEAR, "gain": 0.55, "delay_s": 0.09}], 3, 16)], robot())[0]
+    model = held_but(Model(robot(), (term("limb_wear rear_left", 0.55, 0.0),), QUIET, REFINING_LEG_S), 0, 1)
+    (stuck,) = derivatives([model], data)
+    found = from_grids(stuck, data)
+    assert found.deviance < stuck.deviance - 1.0 and abs(found.model.values[0] - 0.55) < 0.03
+    late = [model.with_values(np.array([0.55, delay_s, 1.0])) for delay_s in DELAYS_S]
+    at_one_noise = [replace(each, noise=found.model.noise, leg_s=found.model.leg_s) for each in late]
+    assert found.deviance < min(deviances_of(at_one_noise, data)) + 1.0
+    assert from_grids(found, data).model.values == pytest.approx(found.model.values, abs=0.02)
 
 
 @from_ci

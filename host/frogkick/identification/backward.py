@@ -21,7 +21,7 @@ from frogkick.identification.fit import (
     fit_many,
     step_bounds,
 )
-from frogkick.identification.refine import STEPS_MAX, refined, simpler_model, with_fewer_free
+from frogkick.identification.refine import STEPS_MAX, from_grids, refined, simpler_model, with_fewer_free
 from frogkick.identification.segments import Data
 from frogkick.identification.steps import cross_fitted, linearised_optimum
 from frogkick.identification.terms import Term
@@ -66,7 +66,7 @@ def revise(
     if len(kept) > 2 and (pair := _pair(data, current, single_effect_fits)) is not None:
         current, kept = backward_elimination(data, pair[0])
         current, found = with_fewer_free(current, data, whole=True), [pair[1][place] for place in kept]
-    return current, found
+    return from_grids(current, data), found
 
 
 def _pair(

@@ -15,6 +15,7 @@ from frogkick.identification.fit import (
     deviances_of,
     evaluate,
     fit,
+    fit_many,
     fit_on,
     reestimated_noise,
     refresh_jacobian,
@@ -29,6 +30,9 @@ RELEASE_PENALTY = 8.0
 
 GRID_PENALTY = 8.0
 """And by this more for a parameter with a grid: the best of many local minima gains as much by chance."""
+
+GRID_STARTS = 3
+"""Number of grid values, the best as simulated, that a fit starts from."""
 
 FEW_PERIODS_MAX = 3.0  # gains of few periods are overestimated, at most by this factor
 
@@ -120,6 +124,27 @@ def far(fitted: Fitted, data: Data) -> list[tuple[float, Model]]:
             penalties.append(release_penalty(fitted, k, data) if k in model.fixed else 0.0)
     deviances = deviances_of(tries, data)
     return [(own + more, each) for own, more, each in zip(deviances, penalties, tries, strict=True)]
+
+
+def from_grids(fitted: Fitted, data: Data) -> Fitted:
+    """The model fitted from the best grid value of each free parameter that has a grid, where that is better.
+
+    Such a parameter has local minima. It entered one before the later effects were there, and descent from it
+    gives an interval around the wrong value.
+    """
+    for k, parameter in enumerate(fitted.model.parameters):
+        if k in fitted.model.fixed or not parameter.grid:
+            continue
+        tries = []
+        for value in parameter.grid:
+            there = fitted.model.values
+            there[k] = value
+            tries.append(fitted.model.with_values(there))
+        best = np.argsort(deviances_of(tries, data))[:GRID_STARTS]
+        other = min(fit_many([tries[i] for i in best], data, STEPS_MAX), key=lambda each: each.deviance)
+        if other.deviance < fitted.deviance - 1.0:
+            fitted = noise_reestimated(other, data)
+    return fitted
 
 
 def with_fewer_free(fitted: Fitted, data: Data, whole: bool = False) -> Fitted:

@@ -244,9 +244,6 @@ static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, 
 static inline float fk_route_glides_beyond_walls(const fk_route_t *route, float from_x_m, float from_y_m, float x_m,
                                                  float y_m)
 {
-    if (!(route->wall_weight_per_m > 0.0f)) {
-        return 0.0f;
-    }
     return fk_route_beyond_walls(route, x_m + route->wall_glide * (x_m - from_x_m),
                                  y_m + route->wall_glide * (y_m - from_y_m));
 }

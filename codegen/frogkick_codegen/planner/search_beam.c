@@ -123,9 +123,11 @@ static inline void fk_branch_expand(const fk_problem_t *problem, const fk_node_t
         return;
     }
     value = value + fk_route_glide_cost(route, knot, arc_m, node->x_m, node->y_m, x_m, y_m, motion.turn_rad);
-    value = value
-          + ((beam->is_last != 0) ? route->wall_weight_per_m : route->distance_weight_per_m)
-                * fk_route_glides_beyond_walls(route, node->x_m, node->y_m, x_m, y_m);
+    if (route->wall_weight_per_m > 0.0f) {
+        value = value
+              + ((beam->is_last != 0) ? route->wall_weight_per_m : route->distance_weight_per_m)
+                    * fk_route_glides_beyond_walls(route, node->x_m, node->y_m, x_m, y_m);
+    }
     if (fk_beam_takes(beam, value, first_action) == 0) {
         return;
     }

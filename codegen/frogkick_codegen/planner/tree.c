@@ -65,9 +65,11 @@ static int32_t fk_expand(fk_search_t *search, const fk_node_t *node, uint32_t le
             cost = cost + fk_route_end_cost(route, arc_m, x_m, y_m, course_x, course_y);
             if (fk_is_pruned(search, first_action, cost) == 0) { /* most are, which saves the rest */
                 cost = cost + fk_route_glide_cost(route, knot, arc_m, node->x_m, node->y_m, x_m, y_m, motion.turn_rad);
-                cost = cost
-                     + route->wall_weight_per_m
-                           * fk_route_glides_beyond_walls(route, node->x_m, node->y_m, x_m, y_m);
+                if (route->wall_weight_per_m > 0.0f) {
+                    cost = cost
+                         + route->wall_weight_per_m
+                               * fk_route_glides_beyond_walls(route, node->x_m, node->y_m, x_m, y_m);
+                }
             }
         }
         if (fk_is_pruned(search, first_action, cost) == 0) {

@@ -91,7 +91,7 @@ def lanes_by_body(lanes: Sequence[Lane]) -> Iterator[tuple[list[int], Robot]]:
     """Indices of the lanes that share a batch, and the body that they share."""
     bodies: dict[tuple[Robot, float, float], list[int]] = {}
     for index, lane in enumerate(lanes):
-        # A lane's effects have those of the robot's file among them, whose tables are no part of a key.
+        # The effects of the robot's file are among the lane's; their tables cannot be part of a key.
         robot = replace(changed_robot(lane.robot, lane.effects), effects=())
         # Effects that are evaluated in every leg would slow down the other lanes.
         leg_s = Acting(lane.effects, robot, [], lane.leg_s).leg_s

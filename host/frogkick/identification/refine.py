@@ -115,15 +115,22 @@ def far(fitted: Fitted, data: Data) -> list[tuple[float, Model]]:
     model, tries, penalties = fitted.model, list[Model](), list[float]()
     if all(own < misfit for own, misfit in zip(model.noise.actuated, NOISE_OF_MISFIT, strict=True)):
         return []
-    for k, parameter in enumerate(model.parameters):
-        freed = replace(model, fixed=model.fixed - {k})
-        for value in parameter.grid:
-            there = model.values
-            there[k] = value
-            tries.append(freed.with_values(there))
-            penalties.append(release_penalty(fitted, k, data) if k in model.fixed else 0.0)
+    for k in range(len(model.parameters)):
+        at_grid = _at_grid(model, k)
+        tries += at_grid
+        penalties += [release_penalty(fitted, k, data) if k in model.fixed else 0.0] * len(at_grid)
     deviances = deviances_of(tries, data)
     return [(own + more, each) for own, more, each in zip(deviances, penalties, tries, strict=True)]
+
+
+def _at_grid(model: Model, k: int) -> list[Model]:
+    """The model with one parameter free, at each of its grid values; none without a grid."""
+    freed, tries = replace(model, fixed=model.fixed - {k}), list[Model]()
+    for value in model.parameters[k].grid:
+        there = model.values
+        there[k] = value
+        tries.append(freed.with_values(there))
+    return tries
 
 
 def from_grids(fitted: Fitted, data: Data) -> Fitted:
@@ -135,11 +142,7 @@ def from_grids(fitted: Fitted, data: Data) -> Fitted:
     for k, parameter in enumerate(fitted.model.parameters):
         if k in fitted.model.fixed or not parameter.grid:
             continue
-        tries = []
-        for value in parameter.grid:
-            there = fitted.model.values
-            there[k] = value
-            tries.append(fitted.model.with_values(there))
+        tries = _at_grid(fitted.model, k)
         best = np.argsort(deviances_of(tries, data))[:GRID_STARTS]
         other = min(fit_many([tries[i] for i in best], data, STEPS_MAX), key=lambda each: each.deviance)
         if other.deviance < fitted.deviance - 1.0:

@@ -163,6 +163,19 @@ def test_an_example_runs_from_the_wheel(name: str, whole: Environment) -> None:
 
 
 @pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
+def test_a_cold_start_works(whole: Environment) -> None:
+    """Where nothing is compiled yet, as after pip install."""
+    cold = whole.root / "cold"
+    program = (
+        f"import os; os.environ['NUMBA_CACHE_DIR'] = {str(cold)!r}\n"
+        "from frogkick.cli.main import main; main()"
+    )
+    said = whole.script("-c", program, "simulate", "--cycles", "1", "--json")
+    assert said.code == 0, said.stderr
+    assert json.loads(said.stdout) and list(cold.rglob("*.nbc")), "numba compiled, and kept it"
+
+
+@pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
 def test_the_ring_without_a_clone(whole: Environment) -> None:
     few = ["--test-states", "4"]
     lines = [

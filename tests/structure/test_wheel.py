@@ -24,7 +24,7 @@ PLACES = {
     "firmware/": "frogkick_codegen/firmware_sources/",
 }
 """Folder of the repository -> where the wheel has it."""
-COMPILES = "in a new environment numba compiles all anew, for minutes: FK_LEVEL=ci"
+SLOW = "takes up to a minute: FK_LEVEL=ci"
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +154,7 @@ def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment
     assert not list(bare.root.glob("cache/tables/*"))  # nothing was simulated for it
 
 
-@pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
+@pytest.mark.skipif(LEVEL == "quick", reason=SLOW)
 @pytest.mark.parametrize("name", some(["swim", "run"], 1, 1))
 def test_an_example_runs_from_the_wheel(name: str, whole: Environment) -> None:
     said = whole.script(REPOSITORY / "host" / "examples" / f"{name}.py")
@@ -162,7 +162,7 @@ def test_an_example_runs_from_the_wheel(name: str, whole: Environment) -> None:
     assert len(said.stdout.splitlines()) >= 2
 
 
-@pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
+@pytest.mark.skipif(LEVEL == "quick", reason=SLOW)
 def test_a_cold_start_works(whole: Environment) -> None:
     """Where nothing is compiled yet, as after pip install."""
     cold = whole.root / "cold"
@@ -175,7 +175,7 @@ def test_a_cold_start_works(whole: Environment) -> None:
     assert json.loads(said.stdout) and list(cold.rglob("*.nbc")), "numba compiled, and kept it"
 
 
-@pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
+@pytest.mark.skipif(LEVEL == "quick", reason=SLOW)
 def test_the_ring_without_a_clone(whole: Environment) -> None:
     few = ["--test-states", "4"]
     lines = [

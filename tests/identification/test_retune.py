@@ -190,6 +190,11 @@ def test_better_is_both_no_worse_and_one_by_more_than_chance() -> None:
     worse = ((0.99e-3, 0.99e-2, 9), (0.5e-3, 1.01e-2, 9), (1.01e-3, 0.5e-2, 9), (0.5e-3, 0.5e-2, 4))
     for other in ((1e-3, 1e-2, 9), *worse, (np.nan, np.nan, 9)):
         assert not is_better(old, PredictionError(*other))
+    # Of a table that predicts positions ten times better, 0.01 degrees more of heading are the camera's.
+    old, new = (PredictionError(mm * 1e-3, np.radians(deg), 11) for mm, deg in ((4.05, 0.22), (0.36, 0.23)))
+    floor = PredictionError(0.29e-3, np.radians(0.21), 11)
+    assert is_better(old, new, floor) and not is_better(old, new, PredictionError())
+    assert not is_better(old, replace(new, heading_rmse_rad=np.radians(0.28)), floor)
 
 
 def test_the_last_run_is_held_out(swims: list[Segments]) -> None:
@@ -243,6 +248,7 @@ def test_tables_that_are_no_better_are_refused(
     tools, out = tools_of(known, worn_m, 2e-3), tmp_path / "new"
     result = retuned(swims, robot(), out, tools, silent, old=b"old")
     assert not result.better and not result.done and "no better on held-out" in result.reason
+    assert ("neither error fell by 2 %" if worn_m < 2.5e-3 else "error grew by 1 mm") in result.reason
     assert tools.made == ["worn"] and tools.swum == [b"old", b"worn"]  # the old ones were given
     assert sorted(path.name for path in out.iterdir()) == sorted([BEFORE, LIBRARY, REFUSED, ROBOT])
     assert (out / REFUSED).read_bytes() == b"worn" and (out / BEFORE).read_bytes() == b"old"

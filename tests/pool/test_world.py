@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.runs import rig
 
+import frogkick as fk
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.effects import World, make_effect, read_world
+from frogkick.front.bench import why_unfinished
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.robot import load_robot
+from frogkick.runs.summary import no_fresh_fix
 
 ROBOT = load_robot("frog2022")
 
@@ -54,3 +60,53 @@ def test_a_dropped_fix_is_lost_and_its_number_with_it(tmp_path: Path) -> None:
     numbers = [fix.sequence for fix in pool.fixes]
     assert 3 < len(numbers) < 18
     assert numbers == sorted(set(numbers))
+
+
+def acting(on: str, key: str, formula: str, **values: tuple[float, str]) -> World:
+    """A world with one law; its numbers have values and units."""
+    parameters = {
+        name: {"value": value, "unit": unit, "low": 0.0, "high": 1e6}
+        for name, (value, unit) in values.items()
+    }
+    table = {"name": "law", "on": on, key: formula, "parameters": parameters}
+    return World((make_effect(table, Path()),))
+
+
+def test_water_that_is_much_too_fast_is_refused_with_its_limit() -> None:
+    with pytest.raises(InputError, match="move the water at 5 m/s where the robot starts, 1 m/s is the most"):
+        swum(acting("flow", "y_mps", "speed", speed=(5.0, "m/s")))
+    swum(acting("flow", "y_mps", "speed", speed=(0.9, "m/s")))
+
+
+def test_where_the_rods_fail_the_effects_of_the_world_are_named() -> None:
+    with pytest.raises(ConvergenceError, match=r", and the effects of the world \(law\): the water moves at"):
+        swum(acting("flow", "x_mps", "rate * time_s", rate=(1e4, "m/s^2")))
+
+
+def test_a_run_without_fixes_says_what_to_check(tmp_path: Path) -> None:
+    """A robot that gets none refuses START; one whose fixes lead it astray says how many it refused."""
+    (tmp_path / "dark.py").write_text("class Dark:\n    def fix(self, fix, rng):\n        return None\n")
+    (tmp_path / "dark.toml").write_text('[[effect]]\nfile = "dark.py"\n')
+    check = r"one of the last 2 s is needed: check the effects of --world that change, delay or drop fixes"
+
+    def run(world: World | Path, plan: str = "onboard") -> fk.Run:
+        return fk.run(rig.small_table(), robot="pool", world=world, plan=plan, time_limit_s=4.0)
+
+    with pytest.raises(fk.FrogkickError, match=f"refuses START: no position fix came, and {check}"):
+        run(tmp_path / "dark.toml")
+    assert why_unfinished(run(tmp_path / "dark.toml", "host")).startswith("no position fix came; ")
+    (tmp_path / "dark.py").write_text(
+        "class Brief:\n    def fix(self, fix, rng):\n        return fix if fix.capture_s < 0.3 else None\n"
+    )
+    brief = run(tmp_path / "dark.toml")
+    assert why_unfinished(brief).startswith("position fixes stopped coming")
+    assert re.fullmatch(
+        rf"its newest position fix is 4\.7\d s old, and {check}", no_fresh_fix(brief, 5.0, 2.0)
+    )
+    astray = run(acting("fix", "x_m", "speed * time_s", speed=(0.9, "m/s")))
+    assert astray.ended == "position fixes lost"
+    assert re.fullmatch(
+        r"the robot refused its last (\d\d) position fixes, \1 as OUTLIER: they are too far from where the "
+        r"robot can be, and from one another by more than 20 mm and 0\.15 m/s: .*",
+        why_unfinished(astray),
+    )

@@ -202,20 +202,21 @@ def run(
             f"{1e3 * found.tracking.mean_distance_m:.0f} mm from it on average: check that the path begins "
             "where the robot is, and that it leads where the robot can go"
         )
-    from frogkick.front.bench import UNFINISHED
+    from frogkick.front.bench import why_unfinished
     from frogkick.front.mission import hold_report, missed_paths_report
     from frogkick.front.run_progress import lost_limb_advice, tight_path_advice
 
+    cut_short = why_unfinished(found)
     if lacks := lost_limb_advice(found.ended):
         say(lacks)
-    elif tight := tight_path_advice(found, found.tracking):
+    elif not cut_short and (tight := tight_path_advice(found, found.tracking)):
         say(tight)
     if said := hold_report(found.as_json()["hold"], hold):
         say(said)
     if lacking := missed_paths_report(len(then or ()), found.log):
         say(lacking)
-    if found.ended in UNFINISHED:
-        say(f"the path was not completed, as {UNFINISHED[found.ended]}")
+    if cut_short:
+        say(f"the path was not completed, as {cut_short}")
     failed = found.tracking.limit_violations or found.tracking.stood or bool(lacks)
-    if failed or found.ended in UNFINISHED:
+    if failed or cut_short:
         raise typer.Exit(1)

@@ -28,7 +28,7 @@ FIELD_M = np.float32(1000.0)
 OK, RANGE, DOUBLE, OLD, OUTLIER = 0, -3, -70, -71, -72
 """Status of a fix, as in the link's ``frames.toml``."""
 
-_OUTLIERS_AGREE_M, _OUTLIERS_AGREE_MPS = np.float32(0.02), np.float32(0.15)
+OUTLIERS_AGREE_M, OUTLIERS_AGREE_MPS = np.float32(0.02), np.float32(0.15)
 _OUTLIERS_AGREE_RAD, _OUTLIERS_AGREE_RAD_S = np.float32(0.35), np.float32(1.5)
 _MICROSECOND = np.float32(1e-6)
 
@@ -184,6 +184,6 @@ class Estimator:
 def _agree(a: _Fix, b: _Fix) -> bool:
     apart_s = np.float32(abs(a.capture_us - b.capture_us)) * _MICROSECOND
     offset = a.pose - b.pose
-    reach_m = _OUTLIERS_AGREE_M + _OUTLIERS_AGREE_MPS * apart_s
+    reach_m = OUTLIERS_AGREE_M + OUTLIERS_AGREE_MPS * apart_s
     near = offset[0] * offset[0] + offset[1] * offset[1] <= reach_m * reach_m
     return bool(near and abs(wrapped(offset[2])) <= _OUTLIERS_AGREE_RAD + _OUTLIERS_AGREE_RAD_S * apart_s)

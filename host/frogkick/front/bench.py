@@ -38,7 +38,9 @@ from frogkick.runs.live_view import tree_of
 from frogkick.runs.path_change import NextPath
 from frogkick.runs.pool_fixes import PoolFixes
 from frogkick.runs.record import Recording, made_of
+from frogkick.runs.runlog import RunLog
 from frogkick.runs.start_checks import check_battery, check_start, look
+from frogkick.runs.summary import refused_fixes
 from frogkick.runs.text_robot import TextRobot
 from frogkick.runs.tracked_fixes import CameraFixes, LineFixes
 from frogkick.tables.image import Tables
@@ -60,6 +62,13 @@ UNFINISHED = {
 """Reason why a run ended before the end of its path or of its time -> the same with advice."""
 STDIN = "stdin"
 POOL = "pool"
+
+
+def why_unfinished(run: RunLog) -> str:
+    """Return why a run ended before the end of its path or of its time, with advice; "" if it did not."""
+    if run.notes != ENDED["STALE"]:
+        return UNFINISHED.get(run.notes, "")
+    return refused_fixes(run) or ("" if len(run.fixes) else "no position fix came; ") + UNFINISHED[run.notes]
 
 
 def require_video(video: bool, fixes: str | None, out: Path | None) -> None:

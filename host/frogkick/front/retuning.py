@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import tempfile
@@ -237,7 +238,7 @@ def retuned(
         write_bytes(made / BEFORE, old)
         before, after = (table_error(tools, image, outcome) for image in (old, new))
         horizons = table_horizons(tools, old, new, outcome)
-        better = is_better(before, after)
+        better = is_better(before, after, outcome.tested.noise_floor)
         name = TABLES if better else REFUSED
         write_bytes(made / name, new)
         loop = []
@@ -257,7 +258,7 @@ def retuned(
         before=before,
         after=after,
         better=better,
-        reason="" if better else _no_better(before, after),
+        reason="" if better else _no_better(before, after, outcome.tested.noise_floor),
         held_out=held_out,
         out=out,
         tables={"file": str(out / name), "bytes": len(new), "states": tools.states(new)},
@@ -325,12 +326,27 @@ def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], st
     return [learned], [kept], f"periods {first + 1} to {len(swim.start_s)} of the only run {swim.name!r}"
 
 
-def is_better(before: PredictionError, after: PredictionError) -> bool:
-    """Whether neither position nor heading error is larger, and one of them is clearly smaller."""
+def by_noise(noise_floor: PredictionError, periods: int) -> tuple[float, float]:
+    """By how much the errors of position (m) and heading (rad) over some periods differ by chance.
+
+    It is the standard error of a root mean square of the noise floor, which the noise of the fixes causes.
+    """
+    position_m, heading_rad = (floor / math.sqrt(2.0 * max(periods, 1)) for floor in noise_floor.pair)
+    return position_m, heading_rad
+
+
+def is_better(
+    before: PredictionError, after: PredictionError, noise_floor: PredictionError | None = None
+) -> bool:
+    """Whether neither position nor heading error is larger, and one of them is clearly smaller.
+
+    An error that is larger by no more than ``by_noise`` counts as equal.
+    """
+    by_chance = (0.0, 0.0) if noise_floor is None else np.nan_to_num(by_noise(noise_floor, after.count))
     pairs = list(zip(before.pair, after.pair, strict=True))
     return (
         after.count >= HELD_OUT_MIN
-        and all(now <= then for then, now in pairs)
+        and all(now <= then + chance for (then, now), chance in zip(pairs, by_chance, strict=True))
         and any(now < BETTER * then for then, now in pairs)
     )
 
@@ -355,12 +371,22 @@ def _why_no_tables(outcome: Outcome, single: bool) -> str:
     return ""
 
 
-def _no_better(before: PredictionError, after: PredictionError) -> str:
+def _no_better(before: PredictionError, after: PredictionError, noise_floor: PredictionError) -> str:
     if after.count < HELD_OUT_MIN:
         return f"the tables could be compared on {after.count} held-out periods: {HELD_OUT_MIN} are needed"
+    chance = np.nan_to_num(by_noise(noise_floor, after.count))
+    grown = [
+        f"the {name} error grew by {scale * (now - then):.2g} {unit}, of which {scale * by:.2g} may be chance"
+        for name, then, now, by, scale, unit in zip(
+            ("position", "heading"), before.pair, after.pair, chance, (1e3, math.degrees(1.0)),
+            ("mm", "degrees"), strict=True,
+        )
+        if now > then + by
+    ]  # fmt: skip
+    why = "; ".join(grown) or f"neither error fell by {100.0 * (1.0 - BETTER):.0f} %"
     return (
         f"the new table is no better on held-out periods ({before} with the old one, {after} with the new "
-        "one): the robot keeps its old table"
+        f"one; {why}): the robot keeps its old table"
     )
 
 

@@ -16,6 +16,9 @@ from frogkick.effects import Acting, World, changed_robot
 from frogkick.pool.camera import Camera, deliver, measure
 from frogkick.robot import Robot
 
+WATER_MOST_MPS = 1.0
+"""Fastest water at the start of a robot: ten times what a robot swims, and far more than it can follow."""
+
 
 @dataclass
 class Truth:
@@ -46,7 +49,8 @@ class Pool:
             world: effects on the robot, the water and the camera.
 
         Raises:
-            InputError: an effect that does not fit, or a pose that is not finite.
+            InputError: an effect that does not fit, water that is faster than WATER_MOST_MPS at the start, or
+                a pose that is not finite.
         """
         self.robot = robot
         self.camera = camera
@@ -55,6 +59,11 @@ class Pool:
         self._acting = Acting(world.effects, self._true_robot, rng.spawn(1))
         self._rods = prepare(self._true_robot)
         self._batch = self._at_rest(pose_world, 0.0)
+        if (water_mps := self._water_mps()) > WATER_MOST_MPS:
+            raise InputError(
+                f"the effects of the world move the water at {water_mps:g} m/s where the robot starts, "
+                f"{WATER_MOST_MPS:g} m/s is the most that is simulated: correct the current in its file"
+            )
         self._rng = rng
         self._captured = 0
         self._sent = 0
@@ -116,7 +125,18 @@ class Pool:
         if until_s - self.time_s > 1e-9:
             self._acting.advance(self._batch, until_s)
             for failure in self._batch.failures.values():
-                raise ConvergenceError(f"rods of {self.robot.id!r} {failure}")
+                raise ConvergenceError(f"rods of {self.robot.id!r} {failure}{self._world_too()}")
+
+    def _water_mps(self) -> float:
+        """Speed of the water at the robot."""
+        pose, velocity = self.state()
+        return math.hypot(*self._acting.water(self._batch, self.time_s, pose, velocity).flow_mps)
+
+    def _world_too(self) -> str:
+        """The end of an error's text: what else may be wrong if the world has effects."""
+        names = ", ".join(effect.title for effect in self._acting.effects)
+        moved = f"the water moves at {self._water_mps():.3g} m/s there"
+        return f", and the effects of the world ({names}): {moved}" if names else ""
 
     def _capture(self) -> None:
         self._swim(self._next_capture_s)

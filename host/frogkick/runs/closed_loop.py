@@ -36,6 +36,7 @@ from frogkick.runs.decision import (
 from frogkick.runs.path_change import Holding, PathChanges, PathSender
 from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import LinkError, Session
+from frogkick.runs.summary import no_fresh_fix
 from frogkick.tables.image import Tables
 
 SETTLE_S = 0.6  # time of fixes before the start, so that the first estimate has a velocity
@@ -238,7 +239,12 @@ class _Run:
     def _run_onboard(self) -> None:
         session, recording = self.session, self.recording
         delay_us = round(START_DELAY_S * 1e6)
-        first_us = int(session.request("START", {"delay_us": delay_us})["first_decision_us"])
+        answer = session.ask("START", {"delay_us": delay_us})
+        if answer["status"] == link_layout().status["STALE"]:
+            why = no_fresh_fix(recording.log(), session.time_s, recording.robot.guard.fix_lost_s)
+            raise LinkError(f"the robot refuses START: {why}")
+        session.require_done("START", {"delay_us": delay_us}, answer)
+        first_us = int(answer["first_decision_us"])
         recording.first_decision_s = (first_us - recording.clock_offset_us) * 1e-6
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while session.time_s < limit_s:

@@ -119,13 +119,17 @@ class Session:
     ) -> dict[str, Value]:
         """Send a command and wait for its answer. LinkError: no answer in time, or the robot refuses."""
         answer = self.ask(name, values, rows)
+        self.require_done(name, values, answer)
+        return answer
+
+    def require_done(self, name: str, values: dict[str, Value] | None, answer: dict[str, Value]) -> None:
+        """Raise LinkError if the answer to a command is a refusal."""
         status = int(answer["status"])
         if status < 0:
             command = f"{name} {values}" if values and name != "KEY" else name  # a key is secret
             raise LinkError(
                 f"the robot refuses {command}: {link_layout().status_name(status)}{self._why(status)}"
             )
-        return answer
 
     def _why(self, status: int) -> str:
         """Explain a status that names no reason itself."""

@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
+from frogkick.estimator.estimator import OUTLIERS_AGREE_M, OUTLIERS_AGREE_MPS
+from frogkick.link.layout import link_layout
 from frogkick.runs.path_change import spans_of
 from frogkick.runs.record import BATTERY_V, along_paths
 from frogkick.runs.runlog import RunLog, Tracking
@@ -228,8 +230,47 @@ def tracking_of_log(run: RunLog) -> Tracking:
         decisions=computed["decisions"],
         fixes_lost=int(number("fixes_lost")),
         limit_violations=int(held["limit_violations"]) if "limit_violations" in held else None,
-        plan_ms_p99=number("plan_ms_p99"),
+        plan_ms_p99=number("plan_ms_p99") or math.nan,  # an older log has 0 if it was not measured
     )
+
+
+_NO_ANSWER = 1
+REFUSED = {
+    "OUTLIER": "they are too far from where the robot can be, and from one another by more than "
+    f"{1e3 * OUTLIERS_AGREE_M:g} mm and {OUTLIERS_AGREE_MPS:g} m/s: the fixes are of something else, or "
+    "something carries the robot away",
+    "RANGE": "a number in them is not finite, or beyond 1000 m or rad: check the tracker's units",
+    "OLD": "they are older than what the robot keeps: check the ages that the camera or the tracker gives",
+    "DOUBLE": "it had them before: check that the tracker sends new ones",
+}
+"""Status of a refused fix -> why the robot refuses it, and what to check."""
+
+
+def refused_fixes(run: RunLog) -> str:
+    """Return why the robot refused the last fixes that it answered; "" if it accepted the last one."""
+    answered = run.fixes.extra.get("robot_status")
+    status = [] if answered is None else [int(one) for one in answered if one != _NO_ANSWER]
+    accepted = [row for row, one in enumerate(status) if one == 0]
+    last = status[accepted[-1] + 1 if accepted else 0 :]
+    if not last:
+        return ""
+    name, count = Counter(map(link_layout().status_name, last)).most_common(1)[0]
+    why = REFUSED.get(name, "see the reference of the link")
+    return f"the robot refused its last {len(last)} position fixes, {count} as {name}: {why}"
+
+
+def no_fresh_fix(run: RunLog, at_s: float, limit_s: float) -> str:
+    """Return why the robot has no fix of the last ``limit_s`` at a time of the session; what to check."""
+    if refused := refused_fixes(run):
+        return refused
+    check = "check the camera and the light, or the tracker"
+    if run.truth is not None:
+        check = "check the effects of --world that change, delay or drop fixes"
+    limit = f"one of the last {limit_s:g} s is needed: {check}"
+    if not len(run.fixes):
+        return f"no position fix came, and {limit}"
+    age_s = at_s - float(run.fixes.capture_time_s.max())
+    return f"its newest position fix is {age_s:.2f} s old, and {limit}"
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ from frogkick.identification.verdict import (
     Scored,
     discretisation_shift,
     fix_noise,
+    grid_intervals,
     intervals,
     noise_floor,
     prediction_errors,
@@ -299,6 +300,10 @@ def _parameters(found: Found) -> list[list[Interval]]:
         by_chance += [[found.jumps.chance, found.jumps.size]]
     fitted = found.fitted.first(len(found.fitted.model.terms) - len(by_chance))
     known = intervals(fitted, found.data, discretisation_shift(fitted, found.data))
+    alike = grid_intervals(fitted, found.data)
+    for place, row in enumerate(known):
+        pairs = zip(fitted.model.indices(place), row, strict=True)
+        known[place] = [each.reaching(*alike[k]) if k in alike else each for k, each in pairs]
     for place, (low, high) in moment_intervals(fitted, found.data).items():
         known[place] = [replace(p, low=low, high=high) if p.name == MOMENT else p for p in known[place]]
     return [*known, *by_chance]

@@ -111,19 +111,21 @@ def release_penalty(fitted: Fitted, k: int, data: Data) -> float:
 
 
 def far(fitted: Fitted, data: Data) -> list[tuple[float, Model]]:
-    """Deviances of the grid values of parameters, simulated, while the model still misfits."""
+    """Deviances of grid values, simulated: of fixed parameters, and of all while the model still misfits.
+
+    Where such a parameter is fixed its derivative tells only of the nearest of its local minima.
+    """
     model, tries, penalties = fitted.model, list[Model](), list[float]()
-    if all(own < misfit for own, misfit in zip(model.noise.actuated, NOISE_OF_MISFIT, strict=True)):
-        return []
-    for k in range(len(model.parameters)):
-        at_grid = _at_grid(model, k)
-        tries += at_grid
-        penalties += [release_penalty(fitted, k, data) if k in model.fixed else 0.0] * len(at_grid)
+    misfits = any(own >= most for own, most in zip(model.noise.actuated, NOISE_OF_MISFIT, strict=True))
+    for k in range(len(model.parameters)) if misfits else sorted(model.fixed):
+        there = at_grid(model, k)
+        tries += there
+        penalties += [release_penalty(fitted, k, data) if k in model.fixed else 0.0] * len(there)
     deviances = deviances_of(tries, data)
     return [(own + more, each) for own, more, each in zip(deviances, penalties, tries, strict=True)]
 
 
-def _at_grid(model: Model, k: int) -> list[Model]:
+def at_grid(model: Model, k: int) -> list[Model]:
     """The model with one parameter free, at each of its grid values; none without a grid."""
     freed, tries = replace(model, fixed=model.fixed - {k}), list[Model]()
     for value in model.parameters[k].grid:
@@ -142,7 +144,7 @@ def from_grids(fitted: Fitted, data: Data) -> Fitted:
     for k, parameter in enumerate(fitted.model.parameters):
         if k in fitted.model.fixed or not parameter.grid:
             continue
-        tries = _at_grid(fitted.model, k)
+        tries = at_grid(fitted.model, k)
         best = np.argsort(deviances_of(tries, data))[:GRID_STARTS]
         other = min(fit_many([tries[i] for i in best], data, STEPS_MAX), key=lambda each: each.deviance)
         if other.deviance < fitted.deviance - 1.0:

@@ -35,6 +35,10 @@ class Interval:
         more = 0.5 * (times - 1.0) * (self.high - self.low)
         return self.low - more <= value <= self.high + more
 
+    def reaching(self, low: float, high: float) -> Interval:
+        """The interval extended to contain two more values."""
+        return replace(self, low=min(self.low, low), high=max(self.high, high))
+
     def __str__(self) -> str:
         return f"{self.name} {self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}"
 

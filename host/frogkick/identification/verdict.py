@@ -20,11 +20,13 @@ from frogkick.effects.acting import LEG_S
 from frogkick.identification.bootstrap import CONFIDENCE, mean_interval, moved_by, standard_errors
 from frogkick.identification.calibrated import end_errors, end_residuals
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import DIVERGED, Fitted, residuals_of, rollouts_of
+from frogkick.identification.fit import DIVERGED, Fitted, evaluate, residuals_of, rollouts_of, step_bounds
+from frogkick.identification.laws import WORSE
 from frogkick.identification.predict import Rollout
+from frogkick.identification.refine import at_grid
 from frogkick.identification.search import Found
 from frogkick.identification.segments import ACTUATION_S, Data, Segments, replicate_count
-from frogkick.identification.steps import log_density, scale_of
+from frogkick.identification.steps import linearised_optimum, log_density, scale_of
 from frogkick.identification.terms import Interval
 
 NOTHING, FOUND, PARTLY = "nothing missing", "found", "partly explained"
@@ -229,6 +231,33 @@ def intervals(fitted: Fitted, data: Data, bias: Float64 | None = None) -> list[l
         return Interval(parameter.name, value, low, high, parameter.unit)
 
     return [[interval(k) for k in model.indices(place)] for place in range(len(model.terms))]
+
+
+def grid_intervals(fitted: Fitted, data: Data) -> dict[int, tuple[float, float]]:
+    """Ends of the grid values that fit as well, by the index of each parameter that has a grid.
+
+    Such a parameter has local minima, and derivatives tell only of its own. A value fits as well if the
+    deviance, simulated there with the others at their linearised optimum, rises by less than WORSE. It stands
+    for what is nearer to it than to the grid's other values.
+    """
+    model, found = fitted.model, dict[int, tuple[float, float]]()
+    worst = fitted.deviance + WORSE * data.replicate_count
+    for k, parameter in enumerate(model.parameters):
+        if not parameter.grid:
+            continue
+        models = at_grid(model, k)
+        tries = evaluate(models, [fitted.jacobian] * len(models), data)
+        damping = 1e-6 * fitted.residuals.size / model.reach**2
+        alike = []
+        for each in tries:
+            held = step_bounds(replace(each.model, fixed=model.fixed | {k}))
+            alike.append(linearised_optimum(each.residuals, each.jacobian, *held, damping)[1] < worst)
+        grid = np.array([parameter.low, *parameter.grid, parameter.high])
+        ends = 0.5 * (grid[1:] + grid[:-1])
+        if any(alike):
+            low, high = np.flatnonzero(alike)[[0, -1]]
+            found[k] = float(ends[low]), float(ends[high + 1])
+    return found
 
 
 @dataclass(frozen=True, eq=False)

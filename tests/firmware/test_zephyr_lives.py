@@ -83,6 +83,23 @@ def test_a_fading_link_that_ends(life: Life) -> None:
     assert life.robot.bad_frames == 0
 
 
+@pytest.mark.parametrize("before", [["ARM"], ["ARM", "STROKE"], ["STROKE"]])
+def test_what_has_arrived_when_a_connection_ends(life: Life, before: list[str]) -> None:
+    """The robot was busy: it takes these frames when their host has gone, and neither stays armed nor fires."""
+    session = life.session
+    if before[0] != "ARM":
+        session.request("ARM")
+    for name in before:
+        session.post(name, {"action": life.firing} if name == "STROKE" else {})
+    life.robot.stage.play_disconnect()
+    life.live(0.5)
+    assert not life.robot.crystal_held and session.edges == []
+    life.robot.connect()
+    session.request("ARM")  # the next host's own
+    life.live(0.5)
+    assert life.state() == STATE["ARMED"]
+
+
 @pytest.mark.parametrize("error", [12, 22])  # ENOMEM, EINVAL
 @pytest.mark.parametrize("after", range(5))
 def test_frames_are_whole_or_dropped_whole(played: Path, error: int, after: int) -> None:

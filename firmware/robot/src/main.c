@@ -180,16 +180,24 @@ int main(void)
         printk("no radio: error %d\n", error);
     }
 
+    int32_t host_is_gone = 0; /* 1: its connection has ended, and frames that it sent before may still wait */
     for (;;) {
         fk_outputs_t outputs;
 
         (void)wdt_feed(watchdog, channel);
         if (fk_radio_take_drop() != 0) {
+            host_is_gone = 1;
+        }
+        if (host_is_gone != 0) {
             fk_robot_note_link_lost(&robot);
         }
         const int32_t supply_is_low = fk_supply_is_low(fk_limbs_now_us());
         fk_robot_note_supply(&robot, (supply_is_low != 0 || fk_battery_pins_are_low() != 0) ? 1 : 0);
         const int32_t taken = take_frame();
+        if (host_is_gone != 0) { /* again, before a tick: an ARM among them must not keep the robot armed */
+            fk_robot_note_link_lost(&robot);
+            host_is_gone = taken;
+        }
         const uint64_t begin_us = fk_limbs_now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
         const int32_t at_once = drive_limbs(&outputs, begin_us);

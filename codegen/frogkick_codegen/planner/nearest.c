@@ -2,7 +2,8 @@
  *
  * Metric: squared difference of codes, summed over the three axes. Widths: codes and splits are within
  * +-16383, so a difference is within +-32766; its square is at most 1 073 610 756 < 2^31, so it fits int32_t;
- * the sum of three is at most 3 220 832 268 < 2^32, so it fits uint32_t. Nothing overflows or is rounded. */
+ * the sum of three is at most 3 220 832 268 < 2^32, so it fits uint32_t. No distance to a row overflows or is
+ * rounded. */
 #include "fk_internal.h"
 
 /* A side of a split that is still to be searched, with the squared distance along each axis from the query to its
@@ -112,11 +113,12 @@ uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3])
             const int32_t d0 = fk_low(first) - codes[0];
             const int32_t d1 = fk_high(first) - codes[1];
             const int32_t d2 = fk_low(middle) - codes[2];
-            const int32_t e0 = fk_high(middle) - codes[0];
-            const int32_t e1 = fk_low(last) - codes[1];
-            const int32_t e2 = fk_high(last) - codes[2];
+            /* Squares modulo 2^32: what is behind the last row may be any number. */
+            const uint32_t e0 = (uint32_t)(fk_high(middle) - codes[0]);
+            const uint32_t e1 = (uint32_t)(fk_low(last) - codes[1]);
+            const uint32_t e2 = (uint32_t)(fk_high(last) - codes[2]);
             const uint32_t distance2 = (uint32_t)(d0 * d0) + (uint32_t)(d1 * d1) + (uint32_t)(d2 * d2);
-            const uint32_t other2 = (uint32_t)(e0 * e0) + (uint32_t)(e1 * e1) + (uint32_t)(e2 * e2);
+            const uint32_t other2 = e0 * e0 + e1 * e1 + e2 * e2;
 
             /* Most rows are further: one comparison for them. */
             if (FK_SELDOM(distance2 <= best_distance2) && ((distance2 != best_distance2) || (row < best_row))) {

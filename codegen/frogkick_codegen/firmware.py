@@ -100,7 +100,9 @@ PULSE_CEILING_S = 0.1
 REST_FLOOR_S = 0.1
 FIX_FRESH_CEILING_S = 0.5
 FIX_LOST_CEILING_S = 2.0
+CHECKED_CEILING = 18
 """What no robot's limits may exceed: the same as in fk_guard.h, where the compiler holds them again."""
+_PORT_LATE_US = 200
 
 
 def _require_limits(robot: Robot) -> None:
@@ -117,6 +119,14 @@ def _require_limits(robot: Robot) -> None:
                 f"guard.{name} of robot {robot.id!r} is {value:g} s, the firmware takes {least:g} to "
                 f"{most:g} s: correct the robot's file"
             )
+    remembered = (round(guard.duty_window_s * 1e6) + _PORT_LATE_US) // round(guard.rest_min_s * 1e6) + 2
+    if remembered + guard.limbs_at_once_max > CHECKED_CEILING:
+        most_s = (CHECKED_CEILING - 1 - guard.limbs_at_once_max) * guard.rest_min_s - 1e-3
+        raise InputError(
+            f"guard.duty_window_s of robot {robot.id!r} is {guard.duty_window_s:g} s: for so many rests "
+            "within it the chip checks each pulse for too long, and would refuse it as late: give at most "
+            f"{most_s:g} s, or a longer guard.rest_min_s"
+        )
     if guard.duty_max >= 1.0:
         raise InputError(
             f"guard.duty_max of robot {robot.id!r} is {guard.duty_max:g}, which limits nothing: "

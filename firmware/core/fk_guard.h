@@ -27,11 +27,15 @@
 #define FK_PULSE_CEILING_US 100000u     /* of every robot: a limb of shape memory alloy burns if it is heated for longer */
 #define FK_FIX_FRESH_CEILING_US 500000u
 #define FK_FIX_LOST_CEILING_US 2000000u
+#define FK_CHECKED_CEILING 18u          /* pulses of a limb that are remembered, and limbs at once */
 
 typedef char fk_pulse_limit_is_a_limit[(FK_PULSE_MAX_US > 0u && FK_PULSE_MAX_US <= FK_PULSE_CEILING_US) ? 1 : -1];
 typedef char fk_rest_limit_is_a_limit[(FK_REST_MIN_US >= 100000u) ? 1 : -1];
 typedef char fk_duty_limit_is_a_limit[(FK_DUTY_ON_MAX_US < FK_DUTY_WINDOW_US) ? 1 : -1];
 typedef char fk_limbs_limit_is_a_limit[(FK_LIMBS_AT_ONCE_MAX >= 1u && FK_LIMBS_AT_ONCE_MAX <= FK_LIMBS_MAX) ? 1 : -1];
+/* From a tick to the pins the chip takes 140 us with 12 pulses and 2 limbs, of the 200 us of FK_PORT_LATE_US, and 7 to 9
+ * more for each further pulse or limb. */
+typedef char fk_history_limit_is_a_limit[(FK_GUARD_HISTORY + FK_LIMBS_AT_ONCE_MAX <= FK_CHECKED_CEILING) ? 1 : -1];
 typedef char fk_fresh_limit_is_a_limit[(FK_FIX_FRESH_US <= FK_FIX_FRESH_CEILING_US) ? 1 : -1];
 typedef char fk_lost_limit_is_a_limit[(FK_FIX_LOST_US <= FK_FIX_LOST_CEILING_US) ? 1 : -1];
 

@@ -23,13 +23,15 @@
 #define FK_LOG_HEAD_BYTES 10u
 #define FK_LOG_CONTENT_MAX 255u
 #define FK_LOG_SNAPSHOT_EVERY_BYTES 6144u /* of other records between snapshots; a host that replays the log has the same */
-#define FK_LOG_SNAPSHOT_MAX_BYTES 4096u   /* all records of one snapshot, with their heads */
+#define FK_LOG_SNAPSHOT_MAX_BYTES 6784u   /* all records of one snapshot, with their heads: fk_snapshot.c */
+#define FK_LOG_WAITING_BYTES 1408u        /* of records while a snapshot that is due waits for the pulses of a stroke */
 
-/* So that the log always holds a whole snapshot. */
-typedef char fk_log_holds_two_snapshots[(FK_LOG_BYTES >= FK_LOG_SNAPSHOT_EVERY_BYTES + 2u * FK_LOG_SNAPSHOT_MAX_BYTES &&
-                                         FK_LOG_BYTES <= 0x40000000u)
-                                            ? 1
-                                            : -1];
+/* So that the log always holds a whole snapshot, unless a host sends more than that while it waits. */
+typedef char fk_log_holds_a_snapshot[(FK_LOG_BYTES >= FK_LOG_SNAPSHOT_MAX_BYTES + FK_LOG_SNAPSHOT_EVERY_BYTES +
+                                                          FK_LOG_WAITING_BYTES &&
+                                      FK_LOG_BYTES <= 0x40000000u)
+                                         ? 1
+                                         : -1];
 
 typedef struct {
     uint32_t magic;

@@ -83,7 +83,7 @@ static int32_t is_of_tables(uint8_t type)
 }
 
 /* A replay begins at a snapshot. One is written before ARM if something was not logged since the last, and after
- * every FK_LOG_SNAPSHOT_EVERY_BYTES, so that the ring always holds one. While an update of the table is open ARM
+ * every FK_LOG_SNAPSHOT_EVERY_BYTES, so that the ring holds one (fk_log.h). While an update of the table is open ARM
  * is refused. */
 static int32_t wants_snapshot(const fk_robot_t *robot, uint8_t type)
 {

@@ -7,6 +7,14 @@
 
 #define PART_BYTES 240u
 
+/* More than the content of any snapshot: these structures with their padding, and what walk_robot_state() itself
+ * names. */
+#define CONTENT_BYTES                                                                                          \
+    (2u * sizeof(fk_path_t) + sizeof(fk_plan_config_t) + sizeof(fk_follow_t) + sizeof(fk_estimator_t) +         \
+     sizeof(fk_guard_t) + 64u)
+#define HEADS_BYTES ((CONTENT_BYTES / PART_BYTES + 1u) * (FK_LOG_HEAD_BYTES + FK_SNAPSHOT_RECORD_BYTES))
+typedef char fk_snapshot_fits[(CONTENT_BYTES + HEADS_BYTES <= FK_LOG_SNAPSHOT_MAX_BYTES) ? 1 : -1];
+
 typedef struct {
     fk_robot_t *robot;
     const uint8_t *from; /* 0: the state is written to the robot's log; else it is read from here */

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterable
 
 import pytest
 from tests.conftest import from_ci
@@ -10,7 +11,7 @@ from tests.core.core import Robot, cases, core
 from tests.core.log_rig import RING_BYTES, Asking, Log, content_of, fetched, names, robot_with_log
 
 from frogkick.link.layout import link_layout
-from frogkick.link.log import HEAD_BYTES, LogError, Stretch, check_of, fetch_log, records_of
+from frogkick.link.log import HEAD_BYTES, LogError, Record, Stretch, check_of, fetch_log, records_of
 from frogkick.runs.session import LinkError
 
 
@@ -226,11 +227,34 @@ def test_there_is_always_a_whole_snapshot() -> None:
         robot.path(100)
         parts = [r for records in fetched(robot).records() for r in records if r.name == "SNAPSHOT"]
         assert any(r.values["last"] for r in parts)
-    sizes, size = [], 0
+    assert 2500 < largest(parts) < 4096
+
+
+def largest(parts: Iterable[Record]) -> int:
+    """Bytes of the largest snapshot, with its records' heads."""
+    sizes = [0]
     for record in parts:
-        size = (0 if record.values["part"] == 0 else size) + HEAD_BYTES + len(record.content)
-        sizes.append(size)
-    assert 2500 < max(sizes) <= 4096, "FK_LOG_SNAPSHOT_MAX_BYTES"
+        sizes.append((0 if record.values["part"] == 0 else sizes[-1]) + HEAD_BYTES + len(record.content))
+    return max(sizes)
+
+
+def test_a_snapshot_of_two_whole_paths_fits_too() -> None:
+    """One is followed, the other waits for the next decision; FK_LOG_SNAPSHOT_MAX_BYTES is above all."""
+    robot, _ = robot_with_log()
+    robot.begin("ARMED")
+    learn = {"parameter": link_layout().parameter["LEARN"], "value": 1.0}
+    assert robot.status("PARAM", learn) == "OK"
+    robot.path(100)
+    assert robot.fix() == "OK" and robot.start(9_000_000) == "OK"
+    robot.path(100)
+    sizes = []
+    for x_m in (0.1, 0.5, 0.9) * 60:
+        robot.now_us += 20_000
+        robot.fix(x_m)
+        records = [r for records in fetched(robot).records() for r in records]
+        sizes.append(largest(r for r in records if r.name == "SNAPSHOT"))
+    assert robot.state() == "RUNNING"
+    assert 4300 < max(sizes) <= 6784, "FK_LOG_SNAPSHOT_MAX_BYTES"
 
 
 def test_no_snapshot_while_a_pulse_of_a_stroke_is_due() -> None:

@@ -67,6 +67,31 @@ def test_a_supply_that_falls_disarms_within_a_millisecond(into_pulse_s: float | 
     assert len(pulses_of(session.edges, session.time_s)) > len(pulses)
 
 
+def test_a_supply_that_falls_while_it_computes_disarms_when_that_is_done() -> None:
+    """The pulse that is on ends by itself, by the timer; the second one of its stroke does not begin."""
+    port, session = armed()
+    session.send_path(shape("line"))
+    for name, value in (("COST", 0.0), ("PLAN_TIME_US", 0.0)):
+        session.request("PARAM", {"parameter": LAYOUT.parameter[name], "value": value})
+    state = {"x_m": 0.0, "y_m": 0.02, "heading_rad": 0.1, "vx_mps": 0.02, "vy_mps": 0.0, "omega_rad_s": 0.0}
+    rested = {f"limb_use_{limb}": 0 for limb in range(8)}
+    session.post("STROKE", {"action": firing()})
+    while not session.edges:
+        session.step(session.time_s + 0.0001)
+    begun_s = session.edges[0].time_s
+    session.post("PLAN", {"depth": 4, **state, **rested, "along_points": 0.0})
+    session.step(begun_s + 0.005)
+    port.chip.power.set_supply(2.69)
+    session.step(begun_s + 1.0)
+    (answer,) = session.take("PLAN")
+    assert begun_s + 0.2 < answer.time_s < begun_s + 0.75, "longer than the pulse"
+    pulses = pulses_of(session.edges, session.time_s)
+    wanted_s = rig.tables().pulse_us * 1e-6
+    assert pulses and all(p.start_s == begun_s for p in pulses)
+    assert all(p.end_s - p.start_s == pytest.approx(wanted_s, abs=1e-7) for p in pulses)
+    assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["LOW"])
+
+
 @pytest.mark.parametrize("supply_v", [2.71, 3.0, 3.6])
 def test_a_supply_that_is_well_changes_nothing(supply_v: float) -> None:
     port, session = armed()

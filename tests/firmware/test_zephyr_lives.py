@@ -85,7 +85,7 @@ def test_a_fading_link_that_ends(life: Life) -> None:
 
 @pytest.mark.parametrize("before", [["ARM"], ["ARM", "STROKE"], ["STROKE"]])
 def test_what_has_arrived_when_a_connection_ends(life: Life, before: list[str]) -> None:
-    """The robot was busy: it takes these frames when their host has gone, and neither stays armed nor fires."""
+    """The robot was busy: it takes these when their host has gone, and neither stays armed nor fires."""
     session = life.session
     if before[0] != "ARM":
         session.request("ARM")

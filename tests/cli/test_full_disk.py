@@ -5,17 +5,22 @@ from __future__ import annotations
 import errno
 import importlib.util
 import os
+import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from tests.cli.commands import frogkick
 from tests.conftest import from_ci, some
 from tests.runs import rig
 
 import frogkick as fk
 from frogkick.core import files
+from frogkick.front import running
 
 # No process may write a file longer than this: as good as a full disk, wherever the tests run.
 WITHOUT_ROOM = """
@@ -120,6 +125,62 @@ def test_a_module_that_a_full_disk_cut_short_is_named(tmp_path: Path) -> None:
     assert done.returncode == 2
     kept.unlink()
     subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=True)
+
+
+def as_file(folder: Path) -> None:
+    """Put a file in the place of a folder, so that not even root can write in it."""
+    shutil.rmtree(folder)
+    folder.write_text("")
+
+
+@pytest.mark.parametrize("way", ["simulate", "run"])
+def test_a_result_is_not_lost_where_its_place_is_gone_at_the_end(
+    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is written elsewhere, and the error says where."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    of, name, options = {
+        "simulate": (fk, "simulate", ("--actions", "B")),
+        "run": (running, "run_session", ("--simulated-time", "2", "--tables", rig.small_table())),
+    }[way]
+    work = getattr(of, name)
+
+    def work_and_spoil(*given: object, **named: object) -> object:
+        done = work(*given, **named)
+        as_file(tmp_path / "gone")
+        return done
+
+    monkeypatch.setattr(of, name, work_and_spoil)
+    (tmp_path / "gone").mkdir()
+    out = tmp_path / "gone" / "out.csv"
+    done = frogkick(capsys, way, *("--robot", "pool") * (way == "run"), *options, "--out", out, "--json")
+    (line,) = (each for each in done.stderr.splitlines() if each.startswith("frogkick: "))
+    told = re.fullmatch(
+        rf"frogkick: cannot write {str(out)!r}: .*; choose another --out; the result is in '(.*)'", line
+    )
+    assert told is not None and done.code == 2, line
+    kept = Path(told[1])
+    assert kept.name == "out.csv" and kept.parent.parent == tmp_path
+    if way == "run":
+        assert fk.load_run(kept).decisions is not None and done.stdout == ""
+    else:
+        assert kept.read_text().startswith("time_s,x_m") and done.json["distance_m"] > 0.0
+
+
+def test_a_result_that_no_place_takes_is_an_error_as_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def full(_file: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with pytest.raises(files.UnwritableError) as raised:
+        files.save_result(full, "x.toml")
+    assert str(raised.value) == "cannot write 'x.toml': No space left on device; choose another --out"
+    assert list(tmp_path.iterdir()) == []
 
 
 @from_ci

@@ -43,8 +43,17 @@ def group_members(group: int) -> list[int]:
 
 
 @from_ci
-@pytest.mark.parametrize("whole_group", [True, False], ids=["terminal", "one process"])
-def test_library_build(tmp_path: Path, whole_group: bool) -> None:
+@pytest.mark.parametrize(
+    ("whole_group", "number"),
+    [
+        (True, signal.SIGINT),
+        (False, signal.SIGINT),
+        (True, signal.SIGTERM),
+        (False, getattr(signal, "SIGHUP", signal.SIGTERM)),
+    ],
+    ids=["terminal", "one process", "timeout", "closed terminal"],
+)
+def test_library_build(tmp_path: Path, whole_group: bool, number: int) -> None:
     process = subprocess.Popen(
         [
             sys.executable, "-m", "frogkick.cli.main",
@@ -58,7 +67,7 @@ def test_library_build(tmp_path: Path, whole_group: bool) -> None:
         first = process.stderr.readline()  # the first progress line: the workers are at it
         assert first.startswith("library: 0/"), first
         time.sleep(0.5)
-        (os.killpg if whole_group else os.kill)(process.pid, signal.SIGINT)
+        (os.killpg if whole_group else os.kill)(process.pid, number)
         stdout, stderr = process.communicate(timeout=300)
         assert process.returncode == 130
         assert stdout == ""
@@ -71,6 +80,32 @@ def test_library_build(tmp_path: Path, whole_group: bool) -> None:
         assert group_members(process.pid) == []
     finally:
         if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+@from_ci
+def test_workers_end_where_their_command_is_killed(tmp_path: Path) -> None:
+    """They would wait for ever, and hold their memory."""
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main",
+            "library", "build", "--states", "400", "--workers", "2", "--out", "lib.h5",
+        ],
+        cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        deadline_s = time.monotonic() + 300.0
+        while len(group_members(process.pid)) < 3 and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        time.sleep(0.5)
+        assert len(group_members(process.pid)) >= 3
+        process.kill()
+        process.communicate()
+        while group_members(process.pid) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        assert group_members(process.pid) == []
+    finally:
+        with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
 
 
@@ -145,6 +180,9 @@ main.main()
     "text",
     [
         "press()",
+        "os.kill(os.getpid(), signal.SIGTERM)",
+        "os.kill(os.getpid(), signal.SIGHUP)",
+        "signal.signal(signal.SIGINT, signal.SIG_IGN); os.kill(os.getpid(), signal.SIGTERM)",
         "handle = Handle(); del handle",  # the interpreter prints what a destructor raises, and goes on
         "handle = set(); seen = weakref.ref(handle, press); del handle",
         "exec('press()')",  # as making a dataclass does: the interpreter would end by a signal

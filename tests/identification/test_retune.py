@@ -306,13 +306,9 @@ def test_of_what_tables_cannot_know_none_are_made(
     assert tools.made == ["nominal"] and pools == [2, 0], "what it costs, with a table as the robot has"
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, InputError("the disk is full")])
-def test_stopped_amid_its_work_it_leaves_nothing(
-    known: Outcome,
-    swims: list[Segments],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    error: type[BaseException] | BaseException,
+@pytest.mark.parametrize("error", [KeyboardInterrupt, InputError("no tools"), OSError(28, "No space left")])
+def test_stopped_amid_its_work_it_leaves_nothing_unless_the_disk_is_full(
+    known: Outcome, swims: list[Segments], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Any
 ) -> None:
     tools = tools_of(known, 0.0, 2e-3)
 
@@ -320,9 +316,14 @@ def test_stopped_amid_its_work_it_leaves_nothing(
         raise error
 
     monkeypatch.setattr(tools, "firmware", stop)
-    with pytest.raises((KeyboardInterrupt, InputError)):
+    with pytest.raises((KeyboardInterrupt, InputError)) as raised:
         retuned(swims, robot(), tmp_path / "new", tools, silent)
-    assert tools.made == ["worn", "nominal"] and not list(tmp_path.iterdir())
+    kept = [str(each) for each in tmp_path.iterdir() if load_robot(each / ROBOT).effects]
+    assert tools.made == ["worn", "nominal"] and len(kept) == (1 if isinstance(error, OSError) else 0)
+    assert all(
+        f"No space left; what was made so far, with {ROBOT}, is in {each!r}" in str(raised.value)
+        for each in kept
+    )
 
 
 def test_a_folder_with_something_in_it_is_not_touched(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
 from typing import Any, TextIO
 
 import typer
@@ -15,6 +16,7 @@ from rich.console import Console
 
 from frogkick.core.chunks import check_cluster
 from frogkick.core.errors import InputError
+from frogkick.core.files import UnwritableError, save_result
 
 stderr = Console(stderr=True)
 
@@ -91,6 +93,30 @@ def results_alone() -> Iterator[None]:
             yield
     finally:
         _results.pop()
+
+
+_unsaved: list[str] = []
+
+
+def save(write: Callable[[Path], object], target: Path) -> None:
+    """Write a result as ``save_result`` does; a place that cannot be written is an error after the output."""
+    try:
+        save_result(write, target)
+    except UnwritableError as error:
+        _unsaved.append(str(error))
+
+
+@contextmanager
+def tells_unsaved() -> Iterator[None]:
+    """Raise InputError at the end, also after a check that failed, if ``save`` could not write a result."""
+    _unsaved.clear()
+    try:
+        yield
+    except typer.Exit:
+        if not _unsaved:
+            raise
+    if _unsaved:
+        raise InputError("; ".join(_unsaved))
 
 
 def show(values: Mapping[str, Any], as_json: bool, text: str = "", passed: bool = True) -> None:

@@ -10,7 +10,7 @@ from typer.core import TyperCommand
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import say, say_left_out, show
+from frogkick.cli.common import save, say, say_left_out, show
 from frogkick.cli.robots import text_of
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
@@ -104,11 +104,11 @@ def identify(
         require_writable(target)
     found = opt.call(fk.identify, locals(), runs=train, progress=True)
     say_left_out(found.outcome.left_out)
-    found.robot.save(out)
+    save(found.robot.save, out)
     if predictions is not None:
-        found.predictions(predictions)
+        save(found.predictions, predictions)
     if report is not None:
-        found.report(report)
+        save(found.report, report)
     show(found.as_json(), json, _identified(found.outcome))
 
 

@@ -1,6 +1,6 @@
 """``frogkick COMMAND``: calls the command, and turns every error into one line and an exit code.
 
-Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
+Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted, by Ctrl-C, SIGTERM or a closed terminal.
 """
 
 from __future__ import annotations
@@ -8,11 +8,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import suppress
 from types import FrameType, TracebackType
 from typing import Any
 
 from frogkick.core.errors import CheckError, FrogkickError
-from frogkick.core.interrupts import ctrl_c_waits
+from frogkick.core.interrupts import STOPS, ctrl_c_waits, interrupt_on_stops
 
 CHECK_FAILED = 1
 BAD_INPUT = 2
@@ -24,7 +25,8 @@ _AGAIN_S = 0.01
 
 
 def _complain(text: str) -> None:
-    print("frogkick: " + " ".join(text.split()), file=sys.stderr)
+    with suppress(OSError):  # the terminal is closed
+        print("frogkick: " + " ".join(text.split()), file=sys.stderr)
 
 
 def run_command(arguments: list[str] | None = None) -> int:
@@ -120,16 +122,22 @@ def main() -> None:
         sys.unraisablehook = _raise_again
         if hasattr(signal, "SIGALRM"):
             signal.signal(signal.SIGALRM, _interrupt)
+        interrupt_on_stops()
         code = run_command()
         # A Ctrl-C that passed through exec of a text, as making a dataclass does, would make the interpreter
         # end by a signal instead of this exit code; exec of another text takes that back.
         exec("")
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the interpreter's own shutdown remains
+        _ignore_signals()  # only the interpreter's own shutdown remains
     except KeyboardInterrupt:  # before the command's first line or after its last
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _ignore_signals()
         _complain(_INTERRUPTED)
         code = INTERRUPTED
     sys.exit(code)
+
+
+def _ignore_signals() -> None:
+    for number in (signal.SIGINT, *STOPS):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _raise_again(unraisable: Any) -> None:

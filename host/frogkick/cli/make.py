@@ -13,7 +13,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import local_processes, say, show
+from frogkick.cli.common import local_processes, save, say, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import progress_bar
@@ -85,7 +85,7 @@ def simulate(
     begin = (0.0, 0.0, 0.0) if actions is None else _velocity(initial_velocity)
     result = opt.call(fk.simulate, locals(), robot=described, velocity_body=begin)
     if out is not None:
-        _write_csv(out, result)
+        save(lambda file: _write_csv(file, result), out)
     animated: dict[str, Any] = {}
     if animation is not None:
         from frogkick.report.animation import actions_swim, gait_swim, write_animation
@@ -185,7 +185,7 @@ def build_table(
     require_writable(out)
     table = fk.fit_table(content, kind.value if kind else None, budget_kib, progress=True)
     error = table.error(test_states, seed, content.sampling, progress=True)
-    table.save(out)
+    save(table.save, out)
     show({**table.facts(), "error": error, "sampling": content.sampling, "out": str(out)}, json)
 
 

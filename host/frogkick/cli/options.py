@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar, get_args
 
 import typer
 
-from frogkick.cli.common import results_alone
+from frogkick.cli.common import results_alone, tells_unsaved
 from frogkick.core.errors import InputError
 
 PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
@@ -133,7 +133,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(command)
     def checked(**options: Any) -> None:
         require_apart(options)
-        with results_alone() if options.get("json") else nullcontext():
+        with tells_unsaved(), results_alone() if options.get("json") else nullcontext():
             command(**options)
 
     signature = inspect.signature(command, eval_str=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from frogkick.cli import options as opt
-from frogkick.cli.common import local_processes, show
+from frogkick.cli.common import local_processes, save, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar, tell_line
@@ -113,7 +113,7 @@ def validate(
     found = compare(data_dir, robot, left_out=left_out, workers=workers or None, progress=True)
     result = found.as_json()
     if report is not None:
-        found.report(report)
+        save(found.report, report)
         result["report"] = str(report)
     result["wall_s"] = round(time.perf_counter() - began, 3)
     show(result, json, _compared(result), passed=not check or found.held)

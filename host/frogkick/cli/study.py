@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_origin, get_type_hints
 
 from frogkick.cli import options as opt
-from frogkick.cli.common import show
+from frogkick.cli.common import save, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.report.style import write_picture
@@ -79,6 +79,6 @@ def _run(name: str, config: Any, as_json: bool) -> None:
     values = found.as_json()
     if out is not None:
         figure = out / f"{name}.png" if config.folder else out
-        write_picture(found.plot(), figure, ".png")
+        save(lambda file: write_picture(found.plot(), file, ".png"), figure)
         values["figure"] = str(figure)
     show(values, as_json, found.text(values), passed=found.passed)

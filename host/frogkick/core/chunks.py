@@ -12,6 +12,7 @@ import hashlib
 import importlib
 import logging
 import multiprocessing
+import os
 import pickle
 import platform
 import re
@@ -29,7 +30,7 @@ from typing import Any, Generic, TypeVar
 
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.extras import require
-from frogkick.core.interrupts import ctrl_c_waits
+from frogkick.core.interrupts import STOPS, ctrl_c_waits
 
 Ready = TypeVar("Ready")
 Task = TypeVar("Task")
@@ -125,9 +126,19 @@ _worker: tuple[Callable[[Any, Any], Any], Any] | None = None
 
 def _start_worker(start: Callable[..., Any], given: tuple[Any, ...], run: Callable[[Any, Any], Any]) -> None:
     global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business: it ends the workers
+    for number in (signal.SIGINT, *STOPS):  # a stop is the parent's business: it ends the workers
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     sys.stdout = sys.stderr  # an effect of a user's own file may print, and stdout is the parent's alone
     _worker = (run, start(*given))
+
+
+def _end_with_parent() -> None:
+    """End this worker if its parent was killed; it would wait for ever for its next chunk."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _run_in_worker(task: Any) -> Any:

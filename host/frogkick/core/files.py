@@ -12,11 +12,15 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from frogkick.core.errors import InputError
+
+
+class UnwritableError(InputError):
+    """A file cannot be written where it was asked for: no such folder, no permission, a full disk."""
 
 
 def existing_file(path: Path | str, what: str) -> Path:
@@ -134,7 +138,8 @@ def sole_writer(out: Path | None) -> Iterator[None]:
     try:
         yield
     finally:
-        lock.unlink(missing_ok=True)
+        with suppress(OSError):  # its folder is gone
+            lock.unlink(missing_ok=True)
         file.close()
 
 
@@ -148,7 +153,8 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     Folders that were created for it are removed as well.
 
     Raises:
-        InputError: the file cannot be written, or the disk is full.
+        UnwritableError: the file cannot be written, or the disk is full.
+        InputError: its name is none, or that of a folder.
     """
     if not isinstance(target, str | os.PathLike):
         raise InputError(f"file to write is given as {type(target).__name__}: give its name")
@@ -160,7 +166,9 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
         final.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{final.name}.", suffix=final.suffix, dir=final.parent)
     except OSError as error:
-        raise InputError(f"cannot write {str(target)!r}: {error.strerror}; choose another --out") from error
+        raise UnwritableError(
+            f"cannot write {str(target)!r}: {error.strerror}; choose another --out"
+        ) from error
     os.close(handle)
     temporary = Path(name)
     try:
@@ -172,7 +180,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     except OSError as error:
         if error.errno not in _FULL:
             raise
-        raise InputError(
+        raise UnwritableError(
             f"cannot write {str(target)!r}: {error.strerror}; make room or choose another --out"
         ) from error
     finally:
@@ -193,15 +201,52 @@ def write_text(target: Path | str, content: str) -> None:
     write_bytes(target, content.encode("utf-8"))
 
 
+def save_result(write: Callable[[Path], object], target: Path | str) -> None:
+    """Write a result that took long to compute; if its place cannot be written any more, write it elsewhere.
+
+    Elsewhere is a new folder in the temporary folder, the working folder or the home folder.
+
+    Args:
+        write: writes the result to a file, completely or not at all.
+        target: the file.
+
+    Raises:
+        UnwritableError: it is not at ``target``; the text says where it is instead.
+    """
+    final = Path(target)
+    try:
+        write(final)
+        return
+    except UnwritableError as error:
+        failed = error
+    except OSError as error:
+        failed = UnwritableError(
+            f"cannot write {str(target)!r}: {error.strerror or error}; choose another --out"
+        )
+    for find in (tempfile.gettempdir, Path.cwd, Path.home):
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="frogkick-result-", dir=find()))
+        except (OSError, RuntimeError):  # there is no such folder
+            continue
+        elsewhere = folder / final.name
+        try:
+            write(elsewhere)
+        except (InputError, OSError):  # not there either
+            shutil.rmtree(folder, ignore_errors=True)
+            continue
+        raise UnwritableError(f"{failed}; the result is in {str(elsewhere)!r}") from failed
+    raise failed
+
+
 def require_room(target: Path | str, size: int) -> None:
     """Check that the disk has room for a file of ``size`` bytes.
 
     Raises:
-        InputError: it has not.
+        UnwritableError: it has not.
     """
     free = shutil.disk_usage(next(place for place in Path(target).absolute().parents if place.exists())).free
     if free < size:
-        raise InputError(
+        raise UnwritableError(
             f"cannot write {str(target)!r}: it takes {size / 1e6:.1f} MB, and {free / 1e6:.1f} MB are "
             "free there; make room or choose another --out"
         )

@@ -1,4 +1,4 @@
-"""Ctrl-C: delayed while an interruption would do harm, and received while a thread waits."""
+"""Ctrl-C and its like: delayed while an interruption would do harm, and received while a thread waits."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import Any
+
+STOPS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a program from outside: of ``kill`` and of a terminal that is closed."""
 
 
 class Bell:
@@ -41,9 +45,63 @@ class Bell:
             self._quiet.acquire(timeout=left_s)
 
 
+def interrupt_on_stops(also_ignored: bool = False) -> list[tuple[int, Any]]:
+    """Let STOPS interrupt the program like a Ctrl-C, so that it cleans up.
+
+    Args:
+        also_ignored: also those that this program was told to ignore, such as SIGHUP by ``nohup``.
+
+    Returns:
+        The signals whose handlers were replaced, with the handlers before.
+    """
+    replaced = []
+    for number in STOPS:
+        before = signal.getsignal(number)
+        if also_ignored or before is not signal.SIG_IGN:
+            signal.signal(number, _as_ctrl_c)
+            replaced.append((number, signal.SIG_DFL if before is None else before))
+    return replaced
+
+
+def _as_ctrl_c(_number: int, frame: FrameType | None) -> None:
+    handler = signal.getsignal(signal.SIGINT)
+    if callable(handler):
+        handler(signal.SIGINT, frame)
+    else:  # Ctrl-C alone is ignored, as by a job in the background
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def stops_are_interrupts() -> Iterator[None]:
+    """Let STOPS, also ignored ones, interrupt like Ctrl-C in the context, so that a robot is disarmed."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = interrupt_on_stops(also_ignored=True)
+    try:
+        yield
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ignore Ctrl-C and STOPS meanwhile."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = [(number, signal.signal(number, signal.SIG_IGN)) for number in (signal.SIGINT, *STOPS)]
+    try:
+        yield
+    finally:
+        for number, handler in before:
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
-    """Block SIGINT in this thread, and in processes and threads that it starts, until the context ends.
+    """Block SIGINT and STOPS in this thread, and in processes and threads that it starts, meanwhile.
 
     Functions that run around a fork cannot pass KeyboardInterrupt on, a new process would end with a
     traceback, and a C library that is interrupted while it initialises may crash.
@@ -51,7 +109,7 @@ def ctrl_c_waits() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *STOPS})
     try:
         yield
     finally:

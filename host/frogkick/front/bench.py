@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.interrupts import stops_are_interrupts
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.mission import require_room
@@ -32,7 +33,7 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, run_session
 from frogkick.runs.decision import warm_up
-from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
+from frogkick.runs.lab_session import LabSession, lab_session
 from frogkick.runs.live_log import logged
 from frogkick.runs.live_view import tree_of
 from frogkick.runs.path_change import NextPath

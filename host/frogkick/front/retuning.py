@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 
 from frogkick.core.arguments import typed
 from frogkick.core.errors import FrogkickError, InputError
-from frogkick.core.files import require_writable, write_bytes
+from frogkick.core.files import UnwritableError, require_writable, save_result, write_bytes
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, Stage, in_stages, shown
 from frogkick.front.html import page_of
@@ -228,7 +228,7 @@ def retuned(
     if reason:
         lost = _lost(outcome, robot, tools, stage, old)
         return Retuning(outcome=outcome, reason=reason, held_out=held_out, out=out, lost=lost)
-    with _folder(out) as made:
+    with _folder(out, outcome) as made:
         write_robot(made / ROBOT, outcome)
         worn = load_robot(made / ROBOT)
         new = tools.tables(worn, made / LIBRARY, lambda title: stage(f"new {title}"))
@@ -405,8 +405,12 @@ def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:
 
 
 @contextmanager
-def _folder(out: Path) -> Iterator[Path]:
-    """A folder beside ``out`` that becomes it on success and is removed on any error."""
+def _folder(out: Path, outcome: Outcome) -> Iterator[Path]:
+    """A folder beside ``out`` that becomes it on success and is removed on any error.
+
+    If it cannot be written any more, for example on a full disk, what is in it is kept under another name; if
+    it is gone, the robot of the identification is written elsewhere.
+    """
     out = out.resolve()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -419,5 +423,26 @@ def _folder(out: Path) -> Iterator[Path]:
         if out.is_dir():
             out.rmdir()  # an empty one; another one's files since then stop it
         os.replace(made, out)
+    except OSError as error:
+        why = f"cannot write {str(out)!r}: {error.strerror or error}"
+        raise _kept(made, out, outcome, why) from error
+    except UnwritableError as error:
+        raise _kept(made, out, outcome, str(error)) from error
     finally:
         shutil.rmtree(made, ignore_errors=True)
+
+
+def _kept(made: Path, out: Path, outcome: Outcome, why: str) -> InputError:
+    """Keep what was made so far; return the error that says where it is."""
+    kept = made.with_name(f"{out.name}.unfinished{made.suffix}")
+    if (made / ROBOT).exists():
+        with suppress(OSError):  # its folder has become read-only
+            made.rename(kept)
+            kept.chmod(0o755)
+            return InputError(f"{why}; what was made so far, with {ROBOT}, is in {str(kept)!r}")
+    alone = kept.with_suffix(".toml")
+    try:
+        save_result(lambda file: write_robot(file, outcome), alone)
+    except UnwritableError as error:
+        return InputError(f"{why}; the identified robot: {error}")
+    return InputError(f"{why}; the identified robot is in {str(alone)!r}")

@@ -19,7 +19,7 @@ import numpy as np
 from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.extras import EXTRAS, require
-from frogkick.core.files import require_writable, sole_writer
+from frogkick.core.files import require_writable, save_result, sole_writer
 from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, read_world
 from frogkick.front.bench import (
@@ -360,7 +360,7 @@ def run(
                 run_session(Session(port), recording.pool, recording, said.progress, draw)
     found = Run(**vars(recording.log()), checked={} if check is None else check.as_json())
     if target is not None:
-        found.save(target)
+        save_result(found.save, target)
         part_of(target).unlink(missing_ok=True)
     return found
 

@@ -17,6 +17,7 @@ import numpy as np
 from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file, require_writable, write_bytes
+from frogkick.core.interrupts import stops_are_interrupts
 from frogkick.effects import World, read_world
 from frogkick.front.bench import parse_begin
 from frogkick.front.places import SIMULATED, built_firmware, require_simulator
@@ -27,7 +28,6 @@ from frogkick.pool.native_robot import NativeRobot, SimulatedPort
 from frogkick.pool.pool import Pool, Truth
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed
-from frogkick.runs.lab_session import stops_are_interrupts
 from frogkick.vision.calibration import Calibration, read_calibration
 from frogkick.vision.check import scene_of
 from frogkick.vision.pose import tag_place

@@ -5,16 +5,12 @@ from __future__ import annotations
 import gc
 import math
 import secrets
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 from frogkick.link.frames import Frame, FrameCollector, hello, unpack_frame
 from frogkick.link.layout import Arguments, Value
@@ -333,22 +329,3 @@ class LabSession(Session):
 def lab_session(wire: Wire, key_file: Path | None = None) -> LabSession:
     """A session over a wire with a robot that speaks this project's link."""
     return LabSession(LabPort(wire), key_file=key_file)
-
-
-@contextmanager
-def stops_are_interrupts() -> Iterator[None]:
-    """Let SIGTERM and a closed terminal interrupt like Ctrl-C, so that the robot is disarmed first."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before: list[Any] = [signal.signal(number, interrupt) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)

@@ -5,14 +5,13 @@ Every method that sends a command raises a ``LinkError`` if the robot refuses it
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 
 from frogkick.core.errors import FrogkickError
+from frogkick.core.interrupts import uninterrupted
 from frogkick.core.poses import Fix
 from frogkick.link import auth
 from frogkick.link.frames import Frame, hello, pack_frame, path_frames
@@ -42,19 +41,6 @@ def fix_values(fix: Fix, age_us: int) -> dict[str, Value]:
         "y_m": fix.y_m,
         "heading_rad": fix.heading_rad,
     }
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Ignore Ctrl-C meanwhile."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @dataclass(frozen=True)

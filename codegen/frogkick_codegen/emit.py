@@ -294,7 +294,7 @@ _BARE = (
     "-ffreestanding", "-ffunction-sections", "-fdata-sections",
     "-fno-unwind-tables", "-fno-asynchronous-unwind-tables",
 )  # fmt: skip
-NOT_PLANNER = ("main", "fk_reset", "fk_fault", "fk_clock_init", "memcpy", "memset", "vectors")
+NOT_PLANNER = ("main", "fk_reset", "fk_fault", "fk_stop", "fk_clock_init", "memcpy", "memset", "vectors")
 """What such an image holds besides planner and table."""
 
 

@@ -21,6 +21,7 @@ extern uint32_t fk_bss_end[];
 int main(void);
 void fk_reset(void);
 void fk_fault(void);
+void fk_stop(void);
 void *memcpy(void *to, const void *from, size_t count);
 void *memset(void *to, int value, size_t count);
 
@@ -65,9 +66,8 @@ void __aeabi_memset(void *to, size_t count, int value) { (void)memset(to, value,
 
 void __aeabi_memclr(void *to, size_t count) { (void)memset(to, 0, count); }
 
-/* A fault of the processor: no pulse can begin any more, all gates go low, and nothing else happens until the
- * watchdog's reset. It uses no stack, which may be what failed. */
-void fk_fault(void)
+/* No pulse can begin any more, all gates go low, and nothing else happens until the watchdog's reset. */
+void fk_stop(void)
 {
     PPI_CHENCLR = FK_PPI_PULSE_BEGIN_MASK;
     for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {
@@ -76,6 +76,16 @@ void fk_fault(void)
     for (;;) {
         __asm__ volatile("");
     }
+}
+
+/* A fault of the processor. The stack may be what failed, and compilers save registers there first: so it begins
+ * anew. A write to it that fails here would lock the processor up, before anything is switched off. */
+__attribute__((naked)) void fk_fault(void)
+{
+    __asm__ volatile("movw r0, #:lower16:fk_stack_top\n\t"
+                     "movt r0, #:upper16:fk_stack_top\n\t"
+                     "msr msp, r0\n\t"
+                     "b fk_stop");
 }
 
 void fk_reset(void)

@@ -112,7 +112,7 @@ uint32_t fk_log_write(fk_log_t *log, uint8_t id, uint64_t time_us, const uint8_t
     for (uint32_t i = 0u; i < length; ++i) {
         put(log, &place, content[i]);
     }
-    log->end = offset + FK_LOG_HEAD_BYTES + length; /* a reset in the middle leaves the records before */
+    log->end = offset + FK_LOG_HEAD_BYTES + length; /* a reset after make_room() leaves the records before */
     return offset;
 }
 

@@ -6,8 +6,9 @@
  * is Fletcher's (Fletcher 1982), modulo 256, over all but itself: it finds every single wrong bit, and is cheap.
  *
  * An offset counts all bytes ever written, modulo 2^32, so a record keeps its offset while the ring goes round. In
- * RAM that no start-up code clears the log survives a reset. After a loss of supply that RAM holds something else,
- * which the checksums show.
+ * RAM that no start-up code clears the log survives a reset, but for one within the few instructions that drop the
+ * oldest record or finish one: the log is not whole then, and begins empty. After a loss of supply that RAM holds
+ * something else, which the checksums show.
  */
 #ifndef FK_LOG_H
 #define FK_LOG_H

@@ -259,10 +259,14 @@ def test_a_pulse_that_leans_on_the_core_is_found_out(
         stalled(chip, what, 2_000)
 
 
-def test_no_gate_goes_high_after_a_fault(tmp_path: Path) -> None:
+BELOW_RAM = '    __asm__ volatile("msr msp, %0" : : "r"(0x1FFFFFF8u));\n'
+
+
+@pytest.mark.parametrize("before", ["", BELOW_RAM], ids=["stack well", "stack overflowed"])
+def test_no_gate_goes_high_after_a_fault(before: str, tmp_path: Path) -> None:
     """Even if the processor faults after it enabled a pulse's start, and before the pulse begins."""
     wait = "    while (fk_time_now_us() < begin_us"
-    fault = "    extern void fk_fault(void);\n    fk_fault();\n"
+    fault = f"    extern void fk_fault(void);\n{before}    fk_fault();\n"
     chip = chip_with_changed_pulse(tmp_path, [(wait, fault + wait)])
     chip.send(pulse_command(1, 0b0110, 1_000), chip.time_us)
     chip.run_until(chip.time_us + 5_000)

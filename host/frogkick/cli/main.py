@@ -20,13 +20,26 @@ BAD_INPUT = 2
 INTERRUPTED = 130
 
 _INTERRUPTED = "interrupted"
+_LONGEST = 1000
+"""Largest number of characters of an error, of which only the beginning and the end are shown beyond."""
+_NEEDED = {
+    "int_parsing": "a whole number of ",
+    "int_from_float": "a whole number of ",
+    "int_parsing_size": "a whole number of ",
+    "float_parsing": "a number of ",
+    "finite_number": "a finite number of ",
+}
+"""What a value of an option must be, by the type of the error."""
 _AGAIN_S = 0.01
 """Delay before a Ctrl-C that could not be delivered is raised again."""
 
 
 def _complain(text: str) -> None:
+    line = " ".join(text.split())
+    if len(line) > _LONGEST:
+        line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     with suppress(OSError):  # the terminal is closed
-        print("frogkick: " + " ".join(text.split()), file=sys.stderr)
+        print(f"frogkick: {line}", file=sys.stderr)
 
 
 def run_command(arguments: list[str] | None = None) -> int:
@@ -86,6 +99,28 @@ def _asked(error: Any) -> str:
     return context.command_path if context is not None else "frogkick"
 
 
+def _wrong_value(error: Any) -> str:
+    """Return which option or argument has which wrong value and what is allowed; "" if this is another error.
+
+    The command-line library's own text has the range alone, or the type.
+    """
+    details = getattr(error.__cause__ or error.__context__, "errors", None)
+    parameter = getattr(error, "param", None)
+    if details is None or parameter is None:
+        return ""
+    wrong = details()[0]
+    low, high = getattr(parameter, "min", None), getattr(parameter, "max", None)
+    if wrong["type"] not in _NEEDED and "ctx" in wrong and "error" in wrong["ctx"]:
+        needed = f"which {wrong['ctx']['error']}".replace(f"{wrong['input']!r} ", "").rstrip(".")
+    elif None not in (low, high):
+        needed = f"allowed is {_NEEDED.get(wrong['type'], '')}{low:.10g} to {high:.10g}"
+    elif low is not None:
+        needed = f"allowed is {_NEEDED.get(wrong['type'], '')}{low:.10g} or more"
+    else:
+        needed = f"needed is {_NEEDED.get(wrong['type'], wrong['msg']).removesuffix(' of ')}"
+    return f"{max(parameter.opts, key=len)} is {wrong['input']!r}, {needed}"
+
+
 def _run(arguments: list[str] | None) -> int:
     with ctrl_c_waits():  # imported here, so that a Ctrl-C meanwhile prints no traceback
         import typer
@@ -109,7 +144,7 @@ def _run(arguments: list[str] | None) -> int:
         if type(error).__name__ == "NoArgsIsHelpError":  # no command was given: list them
             print(message(), file=sys.stderr)
         else:
-            _complain(f"{message()} (see '{_asked(error)} --help')")
+            _complain(f"{_wrong_value(error) or message()} (see '{_asked(error)} --help')")
         return BAD_INPUT
     if result == INTERRUPTED:  # typer returns this after a Ctrl-C and prints nothing
         raise KeyboardInterrupt

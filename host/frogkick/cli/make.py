@@ -82,7 +82,11 @@ def simulate(
         raise InputError(
             "--actions uses the robot's own profile: leave out --egain-percent and --frequency-hz"
         )
-    begin = (0.0, 0.0, 0.0) if actions is None else _velocity(initial_velocity)
+    begin = _velocity(initial_velocity)
+    if actions is None and any(begin):
+        raise InputError(
+            f"--initial-velocity is {initial_velocity!r}, but a gait begins at rest: give --actions too"
+        )
     result = opt.call(fk.simulate, locals(), robot=described, velocity_body=begin)
     if out is not None:
         save(lambda file: _write_csv(file, result), out)

@@ -51,7 +51,12 @@ Planner = Annotated[
     PlannerName,
     "Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and depth 1.",
 ]
-Depth = Annotated[int | None, "Depth of the planner's search; default: the planner's own.", With(1, 4)]
+Depth = Annotated[
+    int | None,
+    "Number of strokes that the planner looks ahead. With the route cost, which --planner robot has for most "
+    "robots, 3 and 4 are a beam search that looks 7 and 8 strokes ahead. Default: that of the planner.",
+    With(1, 4),
+]
 Key = Annotated[
     Path | None, "Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
 ]

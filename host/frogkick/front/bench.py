@@ -90,6 +90,7 @@ def require_bench(
     battery_v: float | None = None,
     begin: str | None = None,
     key: str | None = None,
+    source: str = "0",
 ) -> None:
     """Raise InputError for options that do not fit a real robot, or a simulated one."""
     require_dialect(dialect)
@@ -100,6 +101,7 @@ def require_bench(
             ("--battery-v", battery_v),
             ("--begin", begin),
             ("--key", key),
+            ("--source", None if source == "0" else source),
         ):
             if value is not None:
                 raise InputError(

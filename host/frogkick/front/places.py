@@ -103,7 +103,7 @@ def plan_config(
         config = PlanConfig()
     chosen = config.depth if depth is None else depth
     if not isinstance(chosen, int | np.integer) or not 1 <= chosen <= 4:
-        raise InputError(f"--depth is {chosen!r}, but the planner looks 1 to 4 levels ahead: give 1 to 4")
+        raise InputError(f"--depth is {chosen!r}, allowed is 1 to 4: give a whole number of that range")
     return dataclasses.replace(config, depth=chosen)
 
 

@@ -304,7 +304,7 @@ def run(
         CheckError: robot and host decided differently (``plan="both"``).
     """
     named = str(world) if isinstance(world, Path | str) else None if world is None else "given"
-    require_bench(robot, dialect, fixes, named, battery_v, begin, None if key is None else str(key))
+    require_bench(robot, dialect, fixes, named, battery_v, begin, None if key is None else str(key), source)
     target = None if out is None else Path(out)
     require_video(video, fixes, target)
     is_real = is_target(robot)

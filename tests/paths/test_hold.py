@@ -8,10 +8,11 @@ import pytest
 from frogkick.core.errors import InputError
 from frogkick.core.poses import wrap_angle
 from frogkick.paths import POINTS_MAX, Path, from_waypoints, line, shape
-from frogkick.paths.hold import LAP_POINTS, LEAD_POINTS, hold_at_end
+from frogkick.paths.hold import LAP_POINTS, LEAD_POINTS, SPIRAL_POINTS, hold_at_end, hold_from_pose
 
 RADIUS_M = 0.075
 STEP_RAD = 2.0 * np.pi / LAP_POINTS
+EVERYWHERE = np.array([[-np.inf] * 2, [np.inf] * 2])
 PLACED = [(0.0, 0.0, 0.0), (0.4, -0.3, 2.5)]
 
 
@@ -76,3 +77,49 @@ def test_a_bent_end_is_left_to_the_side_from_which_less_of_it_is_lost() -> None:
 def test_a_radius_that_is_none_is_refused(radius_m: float) -> None:
     with pytest.raises(InputError, match="give a finite radius above 0 m"):
         hold_at_end(line(), radius_m)
+
+
+@pytest.mark.parametrize("course_rad", np.linspace(-3.0, 3.0, 5))
+@pytest.mark.parametrize("place_m", [(0.0, 0.0), (0.45, 0.05), (0.6, -0.3), (0.45, 0.0)])
+def test_from_anywhere_a_way_leads_onto_the_circle(place_m: tuple[float, float], course_rad: float) -> None:
+    pose = np.array([*place_m, course_rad])
+    first = hold_at_end(line(0.45), RADIUS_M)
+    hold = hold_from_pose(first, RADIUS_M, pose, EVERYWHERE)
+    assert hold is not None and hold.end_m == first.end_m
+    entry = hold.entry.points_m
+    assert np.allclose(entry[0], place_m, atol=1e-6)
+    assert abs(wrap_angle(hold.entry.tangent_rad[0] - course_rad)) < 1e-6
+    assert bends_rad(hold.entry).max() < 0.15, "no corner"
+    tangent = np.unwrap(hold.entry.tangent_rad.astype(np.float64))
+    step_m = np.hypot(*np.diff(entry, axis=0).T)
+    assert (np.abs(np.diff(tangent)) <= step_m / RADIUS_M * 1.02 + 1e-6).all(), "no sharper than the circle"
+    away_m = np.hypot(*(entry - hold.end_m).T)
+    assert np.allclose(away_m[hold.circle_point :], RADIUS_M, rtol=0.01)
+    assert len(entry) - hold.circle_point > LAP_POINTS
+    assert np.allclose(hold.laps.points_m[0], entry[hold.circle_point], atol=1e-6)
+
+
+def test_it_is_the_shortest_of_both_sides() -> None:
+    """Mirrored poses, behind the end and swimming away, have mirrored ways: they turn on the near side."""
+    first = hold_at_end(line(0.45), RADIUS_M)
+    one, other = (
+        hold_from_pose(first, RADIUS_M, np.array([0.75, y_m, 0.0]), EVERYWHERE) for y_m in (-0.2, 0.2)
+    )
+    assert one is not None and other is not None
+    assert np.allclose(one.entry.points_m * [1.0, -1.0], other.entry.points_m, atol=1e-5)
+    arc = one.entry.points_m[LEAD_POINTS : one.circle_point - SPIRAL_POINTS]
+    assert arc[-1, 1] > -0.2, "to the left, where the end is"
+
+
+def test_walls_are_kept() -> None:
+    first = hold_at_end(line(0.45), RADIUS_M)
+    pose = np.array([0.75, -0.2, 0.0])
+
+    def highest_m(area_m: np.ndarray) -> float:
+        hold = hold_from_pose(first, RADIUS_M, pose, area_m)
+        assert hold is not None
+        return float(hold.entry.points_m[: hold.circle_point, 1].max())
+
+    free_m = highest_m(EVERYWHERE)
+    assert highest_m(np.array([[-9.0, -9.0], [9.0, free_m - 0.01]])) <= free_m - 0.01
+    assert hold_from_pose(first, RADIUS_M, pose, np.array([[0.0, -0.3], [0.8, 0.1]])) is None, "no room"

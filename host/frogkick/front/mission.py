@@ -30,7 +30,7 @@ HERE = "here"
 Then = str | tuple[Any, ...]
 """A path that takes over: ``PATH@SECONDS[@here]``, (path, s) or (path, s, "here")."""
 
-HOLD_RADIUS_M = 0.075
+HOLD_RADIUS_M = 0.07
 ROOM = 1.2
 """Radius of a circle that a robot can follow, in radii of its tightest turn."""
 PERIODS = 40
@@ -152,17 +152,14 @@ def _turning(arrays: TableArrays, action: int) -> tuple[float, float]:
 
 
 def hold_radius_m(tables: Tables, robot_id: str) -> float:
-    """Radius of the circle around a path's end, m: 3/4 of the limit, or more if the robot needs it."""
+    """Radius of the circle around a path's end, m: 0.7 of the limit, or more if the robot needs it."""
     return max(HOLD_RADIUS_M, ROOM * turn_radius_m(tables, robot_id))
 
 
 def require_room(path: SwimPath, radius_m: float, config: PlanConfig) -> None:
     """Raise InputError if walls leave no room for the approach to the circle."""
-    if not config.wall_weight_per_m:
-        return
     entry = hold_at_end(path, radius_m).entry.points_m
-    low = np.array([config.wall_x_min_m, config.wall_y_min_m])
-    high = np.array([config.wall_x_max_m, config.wall_y_max_m])
+    low, high = config.area_m
     beyond_m = float(np.max(np.maximum(low - entry, entry - high)))
     if beyond_m > 0.0:
         raise InputError(

@@ -6,13 +6,14 @@ Functions raise InputError for arrays whose shapes or values do not fit.
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.core.arrays import AnyArray, Float32, Int64, UInt16
+from frogkick.core.arrays import AnyArray, Float32, Float64, Int64, UInt16
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.weights import COSTS, WEIGHTS, Weights
 from frogkick.planner import costs, kernel
@@ -80,6 +81,14 @@ class PlanConfig(Weights):
     def weights(self) -> Float32:
         """All weights as (w,) float32, in the order of ``WEIGHTS`` and ``fk_plan_config_t``."""
         return _float32([getattr(self, name) for name in WEIGHTS])
+
+    @property
+    def area_m(self) -> Float64:
+        """(2, 2) least and largest x and y of the robot's centre, world, m; infinite without walls."""
+        if not self.wall_weight_per_m:
+            return np.array([[-math.inf] * 2, [math.inf] * 2])
+        low = (self.wall_x_min_m, self.wall_y_min_m)
+        return np.array([low, (self.wall_x_max_m, self.wall_y_max_m)])
 
     def settings(self) -> Any:
         return kernel.Settings(int(self.cost), int(self.transitions_max), *self.weights())

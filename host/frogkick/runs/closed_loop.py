@@ -205,7 +205,8 @@ class _Run:
         self.tables, path, self.options = recording.tables, recording.path, recording.options
         recording.edges = self.session.edges  # grows with the session
         self.session.on_step = self._advance_source
-        holding = None if self.options.hold_m is None else Holding(path, self.options.hold_m)
+        radius_m, area_m = self.options.hold_m, self.options.config.area_m
+        holding = None if radius_m is None else Holding(path, radius_m, area_m)
         self.changes = PathChanges(self.options.then, recording.then, holding)
         self.sender = PathSender(self.session)
         self.twin = DecisionTwin(self.tables, path, self.options.config, learn=self.options.learn)

@@ -16,7 +16,7 @@ from frogkick.core.poses import Fix
 from frogkick.link.frames import Frame, path_frames
 from frogkick.link.layout import link_layout
 from frogkick.paths import Path
-from frogkick.paths.hold import LAP_POINTS, LEAD, Hold, hold_at_end
+from frogkick.paths.hold import LAP_POINTS, LEAD, Hold, hold_at_end, hold_from_pose
 from frogkick.runs.decision import STALE, Decision
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session
@@ -26,6 +26,11 @@ HOLD_LIMIT_M = 0.1
 """Largest distance from the end of a path for a robot that holds there."""
 AGAIN_POINTS = 2
 """After this many points of its second lap the robot is sent new laps, and continues in their first one."""
+OFF, ANEW_AFTER, ANEW_MOST = 0.65, 2, 5
+"""A robot that is this far from its entry, in radii of the circle, gets another one from where it is: this
+many decisions after the last path at the earliest, and this many times at most."""
+MOVING_MPS = 0.005
+"""At a lower speed the robot's heading is its course."""
 SHIFT_GAIN = 0.7
 """Gain of the integral controller: share of the last lap's offset by which the next laps are moved."""
 SHIFT_MAX_M = 0.08
@@ -91,6 +96,7 @@ class PathSender:
 class Holding:
     """Sends an approach and laps before a path ends, and new laps after each lap.
 
+    A robot that is far from the approach, as it could not follow its path, gets another one from where it is.
     A current or a worn limb carries the robot away from its circle. The laps are therefore moved against the
     mean offset of the previous lap (an integral controller).
 
@@ -98,9 +104,15 @@ class Holding:
         began: the robot has reached the circle around the end of its path.
     """
 
-    def __init__(self, path: Path, radius_m: float) -> None:
-        """Begin with a run's first path; the circle's radius is in m."""
-        self._radius_m = radius_m
+    def __init__(self, path: Path, radius_m: float, area_m: Float64) -> None:
+        """Begin with a run's first path.
+
+        Args:
+            path: world frame.
+            radius_m: of the circle, m.
+            area_m: (2, 2) least and largest x and y of the robot's centre, world, m.
+        """
+        self._radius_m, self._area_m = radius_m, area_m
         self._shift_m = np.zeros(2)
         self._follow(path)
 
@@ -115,12 +127,18 @@ class Holding:
         self._circle_point: int | None = None
         self._laps = self._hold.laps
         self._beside_m: list[Float64] = []  # the robot's offset from its place on the path, in a lap
+        self._off_m = 0.0  # the same distance at the last decision on an entry
+        self._followed_for = self._anew = 0  # decisions on an entry, and how many were sent anew
         self._is_sent = self.began = False
 
     def due(self, decisions: Sequence[Decision]) -> Path | None:
         """The path to send now, or None."""
         if self._is_sent or not decisions or decisions[-1].status != 0:
             return None
+        if self._circle_point and not self.began and (anew := self._entry_from(decisions[-1])):
+            self._hold, self._is_sent = anew, True
+            self._anew += 1
+            return anew.entry
         if decisions[-1].path_index < self._send_at:
             return None
         self._is_sent = True
@@ -131,6 +149,16 @@ class Holding:
             self._shift_m = shift_m * SHIFT_MAX_M / max(float(np.hypot(*shift_m)), SHIFT_MAX_M)
         self._laps = self._hold.laps.place((*self._shift_m.tolist(), 0.0))
         return self._laps
+
+    def _entry_from(self, decision: Decision) -> Hold | None:
+        """Another way onto the circle, if the robot is too far from the one that it follows."""
+        too_far = self._off_m > OFF * self._radius_m
+        if not too_far or self._followed_for < ANEW_AFTER or self._anew == ANEW_MOST:
+            return None
+        x, y, heading, ahead_mps, left_mps, _ = decision.predicted.tolist()
+        is_moving = math.hypot(ahead_mps, left_mps) > MOVING_MPS
+        course = heading + (math.atan2(left_mps, ahead_mps) if is_moving else 0.0)
+        return hold_from_pose(self._hold, self._radius_m, np.array([x, y, course]), self._area_m)
 
     def followed(self, path: Path) -> tuple[float, float, int] | None:
         """Record that a path has taken over; return its entry in the log if it holds, else None."""
@@ -143,17 +171,20 @@ class Holding:
             return None
         self._send_at = self._circle_point + LAP_POINTS + AGAIN_POINTS
         self._along, self._circle, self._beside_m = np.arange(len(path)), path.points_m, []
-        self._is_sent = False
+        self._is_sent, self._followed_for = False, 0
         return (*self._hold.end_m, self._circle_point)
 
     def decided(self, decision: Decision) -> None:
         """Record a decision; the hold begins when the robot reaches the circle."""
         if self._circle_point is None or decision.status == STALE:
             return
+        place = [np.interp(decision.along_points, self._along, column) for column in self._circle.T]
+        beside_m = decision.estimate[:2] - place
+        self._off_m = math.hypot(*beside_m)
+        self._followed_for += 1
         if decision.path_index >= self._circle_point:
             self.began = True
-            place = [np.interp(decision.along_points, self._along, column) for column in self._circle.T]
-            self._beside_m.append(decision.estimate[:2] - place)
+            self._beside_m.append(beside_m)
 
 
 @dataclass

@@ -215,6 +215,19 @@ def test_what_does_not_help_on_runs_kept_out_is_left_out(
     assert reported["test"]["repeatability"].keys() == {"position_rmse_m", "heading_rmse_rad"}
 
 
+def test_a_short_test_run_is_judged_by_its_whole_gain() -> None:
+    """Eight of nine periods gain three nats each and one loses four: the interval of the mean holds zero."""
+    gain = Interval("log score gain", 2.28, -1.47, 5.64, "nats per period")
+    before, after = PredictionError(1.3e-3, 4.7e-3, 9), PredictionError(0.55e-3, 3.5e-3, 9)
+    short = Scored(before, after, PredictionError(0.33e-3, 4.1e-3), gain)
+    assert short.helped
+    assert not replace(short, gain=replace(gain, value=1.2)).helped, "chance gives as much"
+    assert not replace(short, after=replace(after, position_rmse_m=1.4e-3)).helped, "an error has grown"
+    many = replace(short, after=replace(after, count=40))
+    assert not many.helped, "in many periods the interval tells"
+    assert replace(many, gain=replace(gain, low=0.1)).helped
+
+
 def rested(seed: int, frames: int) -> Segments:
     """A run whose frames before the first stroke have wrong times, but for the last; the first ones still."""
     run, rng = make_run([], seed, 6), np.random.default_rng(seed)

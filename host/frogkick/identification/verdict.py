@@ -45,10 +45,11 @@ OUTLIER_SIGMA = 3.0
 
 CHANCE = 5.0  # a mean square of few periods may exceed its expectation by this many standard deviations
 
-SURE_NATS = 12.0
-"""If strokes fail by chance, a test run has few failures of about ten nats each, so the interval of a mean is
-wide. The gain of the whole run is a likelihood ratio, which chance makes this large once in 10^5 times (Ville
-1939)."""
+SURE_NATS, FEW_PERIODS = 12.0, 32
+"""In fewer than FEW_PERIODS test periods, fewer than eight blocks, the interval of a mean is wide: one period
+that gains nothing lets it reach zero. It is also wide if strokes fail by chance, as a test run has few
+failures of about ten nats each. The gain of all periods is a likelihood ratio, which chance makes this large
+once in 10^5 times (Ville 1939)."""
 
 INEXACT = 0.03
 """Share of the error before that the right effect may leave: the discretisation error of the simulation."""
@@ -294,7 +295,8 @@ class Scored:
         """Whether the log score gain is beyond chance and no error grows beyond the noise of the fixes."""
         if self.gain is None:
             return False
-        sure = self.by_chance and self.gain.value * self.after.count > SURE_NATS
+        few = self.by_chance or self.after.count < FEW_PERIODS
+        sure = few and self.gain.value * self.after.count > SURE_NATS
         if not (self.gain.low > 0.0 or sure):
             return False
         varying = self.repeatability if self.by_chance else PredictionError(0.0, 0.0)

@@ -53,6 +53,9 @@ STAR = [[0.05 * math.cos(math.radians(144 * k)), 0.05 * math.sin(math.radians(14
         (set_limb(2, length_m=0.0), "greater than 0"),
         (set_limb(2, length_m=3.55e-5), "make each 0.0001 m or longer"),
         (set_limb(2, rest_curvature_per_m=230.0), "'rear_left' crosses itself"),
+        (set_limb(2, rest_curvature_per_m=1e300), "'rear_left' crosses itself"),  # wound up to one point
+        (set_limb(2, rest_curvature_per_m=True), "input should not be true or false"),
+        (lambda table: table.update(water=1000.0), "water is '1000.0': it is a table, so write [water] and"),
         (set_limb(0, direction_deg=135.0, rest_curvature_per_m=5.0, length_m=0.14), "crosses frame edge 2"),
         (
             set_limb(0, direction_deg=-179.0, rest_curvature_per_m=-0.1, length_m=0.12),

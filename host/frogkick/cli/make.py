@@ -24,6 +24,8 @@ TableArgument = Annotated[Path, typer.Argument(help="Table image (.fkt).")]
 RECORD_S = 5.0
 """The value of frogkick.library, repeated so that a command's help does not load that package."""
 
+PHASE, CYCLES = 0.5, 8
+
 Kind = enum.StrEnum("Kind", ["nearest", "affine"])
 Target = enum.StrEnum("Target", ["bench", "native"])
 
@@ -54,8 +56,8 @@ def simulate(
     robot: opt.RobotArgument = "frog2022",
     egain_percent: Annotated[float | None, "EGaIn fraction of the limbs in a gait, %."] = None,
     frequency_hz: Annotated[float | None, "Strokes per second of a gait."] = None,
-    phase: Annotated[float, "Lag of the rear limbs as a fraction of the period, 0 to 1."] = 0.5,
-    cycles: Annotated[int, "Number of cycles of the gait.", opt.With(1, 200)] = 8,
+    phase: Annotated[float, "Lag of the rear limbs as a fraction of the period, 0 to 1."] = PHASE,
+    cycles: Annotated[int, "Number of cycles of the gait.", opt.With(1, 200)] = CYCLES,
     actions: Annotated[
         str | None, "Names of the actions in their order, such as B,B,C or kick,glide."
     ] = None,
@@ -78,9 +80,11 @@ def simulate(
         require_writable(animation)
     egain = described.egain_percent if egain_percent is None else egain_percent
     frequency = described.profile_frequency_hz if frequency_hz is None else frequency_hz
-    if actions is not None and (egain_percent is not None or frequency_hz is not None):
+    of_gaits = (egain_percent, frequency_hz) != (None, None) or (phase, cycles) != (PHASE, CYCLES)
+    if actions is not None and of_gaits:
         raise InputError(
-            "--actions uses the robot's own profile: leave out --egain-percent and --frequency-hz"
+            "--actions uses the robot's own profile: leave out --egain-percent, --frequency-hz, --phase and "
+            "--cycles, which are of gaits"
         )
     begin = _velocity(initial_velocity)
     if actions is None and any(begin):

@@ -75,6 +75,13 @@ def command(name: str) -> Callable[..., None]:
 def _run(name: str, config: Any, as_json: bool) -> None:
     out: Path | None = getattr(config, "out", None)
     require_writable(out, folder=config.folder)
+    for field in fields(config):
+        given = getattr(config, field.name)
+        for file in given if isinstance(given, list | tuple) else [given]:
+            if field.name != "out" and isinstance(file, Path) and not file.exists():
+                raise InputError(
+                    f"{field.name.replace('_', ' ')} {str(file)!r} does not exist: check the path"
+                )
     found = importlib.import_module(f"frogkick_studies.{name}").run(config)
     values = found.as_json()
     if out is not None:

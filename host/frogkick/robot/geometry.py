@@ -66,10 +66,11 @@ def require_geometry(frame: Frame, limbs: tuple[Limb, ...]) -> None:
                 f"limb {limb.name!r} of {limb.length_m:.3g} m has {limb.segments} segments: "
                 f"make each {SEGMENT_MIN_M:g} m or longer"
             )
-        if crossings(shape, shape).any():
+        turn_rad = limb.length_m * abs(limb.rest_curvature_per_m)
+        if turn_rad > math.tau or crossings(shape, shape).any():
             raise InputError(
                 f"limb {limb.name!r} crosses itself at rest: length_m times rest_curvature_per_m "
-                f"is {limb.length_m * abs(limb.rest_curvature_per_m):.2f} rad, a circle 6.28: lower one"
+                f"is {turn_rad:.4g} rad, a circle 6.28: lower one"
             )
         own = {limb.corner, (limb.corner - 1) % n}
         for i in range(n):

@@ -226,7 +226,11 @@ def _first_error(error: ValidationError) -> str:
         )
     if location == ("action",) and first["type"] == "too_long":
         return f"there are {len(first['input'])} actions: a table has room for {ACTIONS_MAX}, leave some out"
-    return f"{where} is {str(first['input'])[:60]!r}: {first['msg'][0].lower()}{first['msg'][1:]}{more}"
+    given = f"{where} is {str(first['input'])[:60]!r}"
+    if first["type"] in ("model_type", "dict_type", "model_attributes_type"):
+        table = f"[[{location[0]}]]" if len(location) > 1 else f"[{where}]"
+        return f"{given}: it is a table, so write {table} and its keys below{more}"
+    return f"{given}: {first['msg'][0].lower()}{first['msg'][1:]}{more}"
 
 
 def _mask(names: list[str], limbs: list[str], where: str) -> int:

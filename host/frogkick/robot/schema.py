@@ -13,9 +13,9 @@ from functools import cache
 from inspect import isclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
+from pydantic_core import PydanticCustomError, PydanticUndefined
 
 from frogkick.core.weights import COSTS, WEIGHTS, Weight, Weights
 
@@ -37,6 +37,14 @@ def key(about: str, default: Any = PydanticUndefined, **limits: Any) -> Any:
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _not_true_or_false(cls, value: Any) -> Any:
+        """Refuse what pydantic takes for the numbers 1 and 0; no key is a truth value."""
+        if any(isinstance(one, bool) for one in (value if isinstance(value, list) else [value])):
+            raise PydanticCustomError("bool", "input should not be true or false")
+        return value
 
 
 class WaterTable(_Table):

@@ -26,6 +26,11 @@ void fk_track_init(fk_track_t *track, fk_tables_t *tables, uint8_t learn)
             track->resting_action = (uint8_t)(action - 1u);
         }
     }
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        track->predicted[axis] = 0.0f; /* like the variances: a snapshot holds them, whether they are valid or not */
+    }
+    track->covariance[0].predicted_variance = 0.0f;
+    track->covariance[1].predicted_variance = 0.0f;
     track->fire_s = ((float)tables->pulse_us + (float)tables->second_delay_us) * 1e-6f;
     fk_track_restart(track);
 }

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import pytest
 from tests.conftest import from_ci
-from tests.core.core import Robot, cases, core
+from tests.core.core import FFI, Robot, cases, core
 from tests.core.log_rig import RING_BYTES, Asking, Log, content_of, fetched, names, robot_with_log
 
 from frogkick.link.layout import link_layout
@@ -255,6 +255,21 @@ def test_a_snapshot_of_two_whole_paths_fits_too() -> None:
         sizes.append(largest(r for r in records if r.name == "SNAPSHOT"))
     assert robot.state() == "RUNNING"
     assert 4300 < max(sizes) <= 6784, "FK_LOG_SNAPSHOT_MAX_BYTES"
+
+
+def test_nothing_of_the_memory_as_found_is_in_a_snapshot() -> None:
+    def logged(found: int) -> list[Record]:
+        robot, log = Robot(), Log()
+        FFI.memmove(robot.memory, bytes([found]) * FFI.sizeof("fk_robot_t"), FFI.sizeof("fk_robot_t"))
+        image_at = FFI.cast("uint8_t *", robot._image)
+        assert core().fk_robot_init(robot.memory, image_at, len(robot.image)) == 0
+        log.memory.magic = 0
+        core().fk_robot_use_log(robot.memory, log.memory)
+        robot.begin("RUNNING")
+        robot.run_until(robot.now_us + 1_500_000)
+        return [record for records in fetched(robot).records() for record in records]
+
+    assert logged(0) == logged(0xA5)
 
 
 def test_no_snapshot_while_a_pulse_of_a_stroke_is_due() -> None:

@@ -94,7 +94,8 @@ void fk_guard_seal(fk_guard_t *guard);
 /* closed: 1 = the robot follows a path by position fixes, so that each pulse needs a fresh one; 0 = it does not. */
 void fk_guard_closed_loop(fk_guard_t *guard, int32_t closed);
 
-/* The estimator took a position fix that was captured at capture_us. */
+/* The estimator took a position fix that was captured at capture_us, as far as its frame says: the time that the frame
+ * spent on the link makes it look younger. */
 void fk_guard_note_fix(fk_guard_t *guard, uint64_t capture_us);
 
 /* The time from which the newest fix is older than FK_FIX_LOST_US, so that a closed loop must end; 0 where there

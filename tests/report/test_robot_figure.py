@@ -117,3 +117,12 @@ def test_show_warns_on_stderr_and_list_lists(tmp_path: Path, capsys: pytest.Capt
     assert [row["name"] for row in listed] == list(built_in_robots())
     assert run_command(["robot", "show", "hexpod"]) == 2
     assert "did you mean 'hexapod'" in capsys.readouterr().err
+
+
+def test_letters_that_the_font_lacks_are_drawn_without_a_warning(tmp_path: Path) -> None:
+    """The name of a file is a title, and a warning here is an error."""
+    with style.new_figure(2.0, 2.0) as figure:
+        figure.suptitle("run \u65e5.h5")
+        assert style.png_of(figure).startswith(b"\x89PNG")
+        style.write_picture(figure, tmp_path / "a.png")
+    assert [each.name for each in tmp_path.iterdir()] == ["a.png"]

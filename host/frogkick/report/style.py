@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -58,6 +59,14 @@ def styled() -> Iterator[None]:
 
     matplotlib.use("Agg")
     with matplotlib.rc_context(_SETTINGS):
+        yield
+
+
+@contextmanager
+def _any_letters() -> Iterator[None]:
+    """Draw a file's name without a warning if the font lacks one of its letters, which becomes a box."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
         yield
 
 
@@ -118,14 +127,15 @@ def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120
     ending = ending or target.suffix.lower()
     if ending not in PICTURES:
         raise InputError(f"picture {str(target)!r} does not end in {' or '.join(PICTURES)}: choose one")
-    with styled(), atomic_path(target) as temporary:
+    with styled(), atomic_path(target) as temporary, _any_letters():
         figure.savefig(temporary, format=ending[1:], dpi=dpi, metadata={PICTURES[ending]: None})
 
 
 def png_of(figure: Figure) -> bytes:
     """Return a new figure as a PNG. A layout that was drawn once may come out differently the next time."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=120, metadata={"Software": None})
+    with _any_letters():
+        figure.savefig(buffer, format="png", dpi=120, metadata={"Software": None})
     return buffer.getvalue()
 
 

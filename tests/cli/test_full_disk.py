@@ -65,6 +65,20 @@ def test_an_export_leaves_no_file_and_no_folder(tmp_path: Path) -> None:
     assert done.returncode == 2 and [each.name for each in tmp_path.iterdir()] == ["run.h5"]
 
 
+@from_ci
+@pytest.mark.parametrize("ending", [".pdf", ".svg"])
+def test_a_picture_is_not_half_written(ending: str, tmp_path: Path) -> None:
+    """The writer of PDF has an error of its own for a disk that is full from the first byte on."""
+    program = WITHOUT_ROOM.replace("(8192, 8192)", "(0, 0)")
+    done = subprocess.run(
+        [sys.executable, "-c", program, "camera", "tag", "--out", f"tag{ending}"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr and done.returncode == 2, done.stderr
+    assert done.stderr.splitlines()[-1].startswith(f"frogkick: cannot write 'tag{ending}': File too large; ")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("whole", [False, True], ids=["emitted", "firmware"])
 def test_a_disk_that_fills_up_amid_several_files_leaves_none(
     whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

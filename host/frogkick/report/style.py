@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from frogkick.core.errors import InputError
-from frogkick.core.files import atomic_path
+from frogkick.core.files import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,8 +127,10 @@ def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120
     ending = ending or target.suffix.lower()
     if ending not in PICTURES:
         raise InputError(f"picture {str(target)!r} does not end in {' or '.join(PICTURES)}: choose one")
-    with styled(), atomic_path(target) as temporary, _any_letters():
-        figure.savefig(temporary, format=ending[1:], dpi=dpi, metadata={PICTURES[ending]: None})
+    content = io.BytesIO()  # on a full disk the writer of PDF would raise an error of its own
+    with styled(), _any_letters():
+        figure.savefig(content, format=ending[1:], dpi=dpi, metadata={PICTURES[ending]: None})
+    write_bytes(target, content.getvalue())
 
 
 def png_of(figure: Figure) -> bytes:

@@ -4,6 +4,8 @@
 
 #define FK_WEAR_FADING 0.96f        /* forgetting factor of each period: an older one has half its weight after 17 */
 #define FK_WEAR_PENALTY 9.0f        /* what a limb or the current must explain to be selected: three standard deviations */
+#define FK_WEAR_COMMON_BY 9.0f      /* how much more than one limb a share that all limbs have lost must explain; */
+#define FK_WEAR_COMMON_MOST 0.6f    /* its largest value: a robot that loses more at once has another fault */
 #define FK_WEAR_OUTLIER 8.0f        /* beyond this squared error a limb may have broken, and what older periods say of limbs */
 #define FK_WEAR_OUTLIER_FADING 0.3f /* keeps this much of its weight; what they say of the current keeps all of it */
 #define FK_WEAR_ERROR_MOST 1e6f     /* a period of larger squared error, or of NaN, is not learned from */
@@ -24,10 +26,12 @@ static const float current_information[3] = {111111.11f, 111111.11f, 40000.0f};
 static const uint8_t variance_of[3] = {0u, 0u, 1u};
 
 /* The normal equations of all unknowns, with the right-hand side as last column. Gauss-Jordan elimination of an
- * unknown leaves its value in its own row, and takes what it explains out of the other rows. */
+ * unknown leaves its value in its own row, and takes what it explains out of the other rows. The last unknown is a
+ * share that all limbs have lost, as from an empty battery; a limb's own unknown is then what it has lost beyond it. */
 typedef struct {
-    float at[FK_WEAR_UNKNOWNS][FK_WEAR_UNKNOWNS + 1u];
+    float at[FK_WEAR_UNKNOWNS + 1u][FK_WEAR_UNKNOWNS + 2u];
     uint32_t unknowns;
+    uint32_t common; /* the last unknown */
     uint32_t chosen; /* bit i: unknown i is selected, so eliminated */
 } fk_normal_t;
 
@@ -162,36 +166,57 @@ static void eliminate(fk_normal_t *normal, uint32_t pivot)
 
 static int32_t is_plausible(float share) { return share > FK_WEAR_LEAST && share < FK_WEAR_MOST; }
 
+static int32_t is_chosen(const fk_normal_t *normal, uint32_t unknown)
+{
+    return (int32_t)((normal->chosen >> unknown) & 1u);
+}
+
+/* The value of a selected unknown, if those from `first` on take these values. */
+static float value_if(const fk_normal_t *normal, uint32_t unknown, uint32_t first, uint32_t count, const float *values)
+{
+    float value = normal->at[unknown][normal->unknowns];
+    for (uint32_t k = 0u; k < count; ++k) {
+        value = value - normal->at[unknown][first + k] * values[k];
+    }
+    return value;
+}
+
 /* Whether the selected limbs keep plausible shares if the unknowns from `first` on take these values. */
 static int32_t are_plausible(const fk_normal_t *normal, uint32_t first, uint32_t count, const float *values)
 {
-    for (uint32_t i = 3u; i < normal->unknowns; ++i) {
-        if (((normal->chosen >> i) & 1u) != 0u) {
-            float share = normal->at[i][normal->unknowns];
-            for (uint32_t k = 0u; k < count; ++k) {
-                share = share - normal->at[i][first + k] * values[k];
-            }
-            if (!is_plausible(share)) {
-                return 0;
-            }
+    float common = 0.0f;
+    if (is_chosen(normal, normal->common) != 0) {
+        common = value_if(normal, normal->common, first, count, values);
+        if (!is_plausible(common) || common > FK_WEAR_COMMON_MOST) {
+            return 0;
+        }
+    }
+    for (uint32_t i = 3u; i < normal->common; ++i) {
+        if (is_chosen(normal, i) != 0 && !is_plausible(common + value_if(normal, i, first, count, values))) {
+            return 0;
         }
     }
     return 1;
 }
 
-/* What a limb explains of the residual of the selected unknowns; -1 if the data cannot separate it from them, or
- * if a share would be implausible. */
-static float gain_of_limb(const fk_normal_t *normal, uint32_t at, float information)
+/* What a limb, or all limbs, explain of the residual of the selected unknowns; -1 if the data cannot separate it from
+ * them, or if a share would be implausible. */
+static float gain_of_share(const fk_normal_t *normal, uint32_t at, float information)
 {
     const float left = normal->at[at][at];
     if (!(left > FK_WEAR_APART * information)) { /* it has not fired, or always with the others */
         return -1.0f;
     }
-    const float share = normal->at[at][normal->unknowns] / left;
-    if (!is_plausible(share) || !are_plausible(normal, at, 1u, &share)) {
+    const float value = normal->at[at][normal->unknowns] / left;
+    float share = value;
+    if (is_chosen(normal, normal->common) != 0) {
+        share = value_if(normal, normal->common, at, 1u, &value) + value;
+    }
+    if (!is_plausible(share) || !are_plausible(normal, at, 1u, &value) ||
+        (at == normal->common && value > FK_WEAR_COMMON_MOST)) {
         return -1.0f;
     }
-    return normal->at[at][normal->unknowns] * share;
+    return normal->at[at][normal->unknowns] * value;
 }
 
 /* The same for the current, by Gaussian elimination of its three unknowns. Its prior information keeps each pivot
@@ -225,10 +250,11 @@ static float gain_of_current(const fk_normal_t *normal)
 }
 
 /* Forward selection: the limb, or the current, that explains most, then the next one, as long as one exceeds the
- * penalty. */
+ * penalty. In place of the first limb it may be all of them. */
 static void select_unknowns(const fk_wear_t *wear, fk_normal_t *normal)
 {
     const uint32_t nothing = normal->unknowns;
+    const float of_common = normal->at[normal->common][normal->common];
     uint32_t best;
     do {
         float most = FK_WEAR_PENALTY;
@@ -240,14 +266,18 @@ static void select_unknowns(const fk_wear_t *wear, fk_normal_t *normal)
                 best = 0u;
             }
         }
-        for (uint32_t at = 3u; at < normal->unknowns; ++at) {
-            if (((normal->chosen >> at) & 1u) == 0u) {
-                const float gain = gain_of_limb(normal, at, wear->information[at * (at + 3u) / 2u]);
+        for (uint32_t at = 3u; at < normal->common; ++at) {
+            if (is_chosen(normal, at) == 0) {
+                const float gain = gain_of_share(normal, at, wear->information[at * (at + 3u) / 2u]);
                 if (gain > most) {
                     most = gain;
                     best = at;
                 }
             }
+        }
+        if ((normal->chosen >> 3u) == 0u &&
+            gain_of_share(normal, normal->common, of_common) > most + FK_WEAR_COMMON_BY) {
+            best = normal->common;
         }
         if (best != nothing) {
             eliminate(normal, best);
@@ -259,14 +289,35 @@ static void select_unknowns(const fk_wear_t *wear, fk_normal_t *normal)
     } while (best != nothing);
 }
 
+/* The last unknown, which changes all limbs alike: its row and column are the sums of theirs. */
+static void sum_of_limbs(fk_normal_t *normal)
+{
+    float *const row = normal->at[normal->common];
+    float own = 0.0f;
+    for (uint32_t j = 0u; j <= normal->unknowns; ++j) {
+        row[j] = 0.0f;
+        if (j != normal->common) {
+            for (uint32_t i = 3u; i < normal->common; ++i) {
+                row[j] = row[j] + normal->at[i][j];
+            }
+        }
+    }
+    for (uint32_t j = 0u; j < normal->common; ++j) {
+        normal->at[j][normal->common] = row[j];
+        own = own + ((j < 3u) ? 0.0f : row[j]);
+    }
+    row[normal->common] = own;
+}
+
 /* Estimate shares and current from the sums over all periods. */
 static void estimate(fk_wear_t *wear, const fk_tables_t *tables)
 {
     fk_normal_t normal;
     uint32_t next = 0u;
-    normal.unknowns = 3u + tables->limbs;
+    normal.common = 3u + tables->limbs;
+    normal.unknowns = normal.common + 1u;
     normal.chosen = 0u;
-    for (uint32_t i = 0u; i < normal.unknowns; ++i) {
+    for (uint32_t i = 0u; i < normal.common; ++i) {
         for (uint32_t j = 0u; j <= i; ++j) {
             normal.at[i][j] = wear->information[next];
             normal.at[j][i] = wear->information[next];
@@ -277,14 +328,17 @@ static void estimate(fk_wear_t *wear, const fk_tables_t *tables)
     for (uint32_t i = 0u; i < 3u; ++i) {
         normal.at[i][i] += current_information[i];
     }
+    sum_of_limbs(&normal);
     select_unknowns(wear, &normal);
     for (uint32_t i = 0u; i < 3u; ++i) {
         wear->current[i] = ((normal.chosen & 1u) != 0u) ? normal.at[i][normal.unknowns] : 0.0f;
     }
+    const float common =
+        (is_chosen(&normal, normal.common) != 0) ? normal.at[normal.common][normal.unknowns] : 0.0f;
     for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
-        float share = 0.0f;
-        if (((normal.chosen >> (3u + limb)) & 1u) != 0u) {
-            share = normal.at[3u + limb][normal.unknowns];
+        float share = common;
+        if (is_chosen(&normal, 3u + limb) != 0) {
+            share = share + normal.at[3u + limb][normal.unknowns];
         }
         share = (share < 1.0f) ? share : 1.0f;
         wear->lost[limb] = (share > 0.0f) ? (uint16_t)(share * (float)FK_LOST_MAX + 0.5f) : 0u;

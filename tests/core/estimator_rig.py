@@ -220,6 +220,9 @@ def worn(seed: int) -> Stream:
     """A robot that learns what its limbs have lost, of which some have, some more from a moment on."""
     rng = np.random.default_rng([seed, 1])
     lost = [rng.choice([0, 0, rng.integers(32768), 32767], 4).tolist() for _ in range(2)]
+    if (dice := np.random.default_rng([seed, 2])).random() < 0.25:  # all alike, and then perhaps one more
+        lost = [[int(dice.integers(3000, 25_000))] * 4] * 2
+        lost[1] = [*lost[1][:3], pick(dice, [lost[1][3], 32767])]
     given = swim(seed, int(rng.integers(8, 40)), kick=pick(rng, [0.0, 0.1, 0.5]), name="worn", lost=lost)
     begin_us, end_us = given.starts_us[0], given.starts_us[-1]
     switched_us = [begin_us - 1, *rng.integers(begin_us, end_us, int(rng.choice([0, 0, 2]))).tolist()]

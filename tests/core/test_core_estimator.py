@@ -36,7 +36,7 @@ WEAR_FLOATS = 28 + 7 + 3 + 4
 PLANTED_LIVES = 6000
 """In so many lives each planted mutation is found; most take one, the rarest 2600."""
 
-RARE = (134, 254)
+RARE = (214, 614)
 """Lives in which a current is not believed, because limbs would then have lost less than nothing."""
 
 
@@ -108,7 +108,12 @@ MUTATIONS = {
     "least share": ("fk_wear.c", "FK_WEAR_LEAST 0.02f", "FK_WEAR_LEAST 0.2f"),
     "largest share": ("fk_wear.c", "FK_WEAR_MOST 1.3f", "FK_WEAR_MOST 1.2f"),
     "limbs that cannot be separated": ("fk_wear.c", "FK_WEAR_APART 1e-3f", "FK_WEAR_APART 0.5f"),
-    "limbs that others make implausible": ("fk_wear.c", "|| !are_plausible(normal, at, 1u, &share)", ""),
+    "limbs that others make implausible": ("fk_wear.c", "|| !are_plausible(normal, at, 1u, &value)", ""),
+    "when all limbs are meant": ("fk_wear.c", "FK_WEAR_COMMON_BY 9.0f", "FK_WEAR_COMMON_BY 12.0f"),
+    "the most that all limbs lose": ("fk_wear.c", "FK_WEAR_COMMON_MOST 0.6f", "FK_WEAR_COMMON_MOST 0.5f"),
+    "a current that makes all limbs implausible": ("fk_wear.c", "|| common > FK_WEAR_COMMON_MOST", ""),
+    "what a limb has lost beyond all": ("fk_wear.c", "at, 1u, &value) + value;", "at, 1u, &value);"),
+    "one limb or all": ("fk_wear.c", "(normal->chosen >> 3u) == 0u", "normal->chosen == 0u"),
     "a current that makes limbs implausible": ("fk_wear.c", "!are_plausible(normal, 0u, 3u, value)", "0"),
     "the better of two limbs": ("fk_wear.c", "if (gain > most) {", "if (gain > FK_WEAR_PENALTY) {"),
     "a current first": ("fk_wear.c", "(normal->chosen & 1u) == 0u", "normal->chosen == 0u"),

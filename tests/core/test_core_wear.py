@@ -100,7 +100,7 @@ def test_a_robot_that_lacks_a_limb_gives_up_after_half_as_many_decisions() -> No
 
 
 def test_a_snapshot_in_which_more_is_lost_than_there_is_is_refused() -> None:
-    whole = snapshot_of(worn(1, 50))
+    whole = snapshot_of(worn(2, 50))
     wear = ChipTwin(whole, open_image(image())).wear
     everything = struct.pack("<H", LOST_MAX)
     assert wear is not None and wear.codes[3] == LOST_MAX

@@ -55,6 +55,9 @@ def swum(filt: WearFilter, tables: Tables, lost: list[float], current: list[floa
         ([0.5, 0.0, 0.8, 0.0], [0.0, 0.0, 0.0]),
         ([0.0, 0.0, 0.0, 0.0], [0.003, -0.002, 0.0]),
         ([0.0, 0.0, 0.0, 1.0], [-0.002, 0.003, 0.0]),
+        ([0.35, 0.35, 0.35, 0.35], [0.0, 0.0, 0.0]),
+        ([0.3, 0.3, 0.3, 0.3], [0.003, -0.002, 0.0]),
+        ([0.4, 0.4, 0.7, 0.4], [0.0, 0.0, 0.0]),
     ],
 )
 def test_limbs_and_a_current_are_told_apart(table: Path, lost: list[float], current: list[float]) -> None:

@@ -3,9 +3,10 @@
 The prediction error of each period is regressed on the wear curves of the limbs that fired in it, and on a
 current. This is recursive least squares with exponential forgetting (Ljung 1999, System Identification,
 section 11.2): the normal equations of all periods are summed, and the weight of a period fades. Limbs and
-current enter by forward selection, as long as one more explains more than its penalty. If no limb is worn,
-none is selected, and the planner decides as without this estimate. Whether a worn limb has lost everything is
-then decided by single periods.
+current enter by forward selection, as long as one more explains more than its penalty. In place of the first
+limb it may be all of them, with a common share, as from an empty battery; what single limbs have lost beyond
+it may follow. If no limb is worn, none is selected, and the planner decides as without this estimate. Whether
+a worn limb has lost everything is then decided by single periods.
 
 Twin and C take the same float32 operations in the same order, and round each once.
 """
@@ -34,9 +35,9 @@ NOISE = (0.0012, 0.0012, 0.02)
 _NOISE = np.array([1.44e-6, 1.44e-6, 4e-4], dtype=np.float32)
 _CURRENT_INFORMATION = np.array([111111.11, 111111.11, 40000.0], dtype=np.float32)  # 3 mm/s, 0.005 rad/s
 _FADING, _OUTLIER_FADING = _F(0.96), _F(0.3)
-_PENALTY, _OUTLIER, _ERROR_MOST = _F(9), _F(8), _F(1e6)
+_PENALTY, _COMMON_BY, _OUTLIER, _ERROR_MOST = _F(9), _F(9), _F(8), _F(1e6)
 _SECANT = 22937
-_LEAST, _MOST, _APART = _F(0.02), _F(1.3), _F(1e-3)
+_LEAST, _MOST, _COMMON_MOST, _APART = _F(0.02), _F(1.3), _F(0.6), _F(1e-3)
 _GONE_BY = _F(1)
 _RESTARTED = _F(18)  # twice the penalty: it fades within 16 periods that tell nothing of the limb
 
@@ -201,17 +202,30 @@ class WearFilter:
         )
 
     def _select(self) -> None:
-        """Forward selection of limbs and current: in each turn the one that explains most."""
-        unknowns = len(self._vector)
-        normal = np.concatenate([self._information, self._vector[:, None]], axis=1)
+        """Forward selection of limbs and current: in each turn the one that explains most.
+
+        The last unknown is the share that all limbs have lost; a limb's own is then what it has lost beyond.
+        """
+        limbs = range(3, len(self._vector))
+        common = len(self._vector)
+        normal = np.zeros((common + 1, common + 2), dtype=np.float32)
+        normal[:common, :common], normal[:common, -1] = self._information, self._vector
         normal[range(3), range(3)] += _CURRENT_INFORMATION
+        for limb in limbs:
+            normal[common] = normal[common] + normal[limb]
+        normal[:common, common] = normal[common, :common]
+        for limb in limbs:
+            normal[common, common] = normal[common, common] + normal[common, limb]
+        least = _APART * np.diagonal(normal)
         chosen: list[int] = []
         while True:
             most, best = _PENALTY, None
-            for first in (0, *range(3, unknowns)):
-                gain = _F(-1) if first in chosen else self._gain(normal, first, chosen)
+            for first in (0, *limbs):
+                gain = _F(-1) if first in chosen else _gain(normal, first, chosen, least[first])
                 if gain > most or (first == 0 and gain >= most):
                     most, best = gain, first
+            if not any(chosen) and _gain(normal, common, chosen, least[common]) > most + _COMMON_BY:
+                best = common
             if best is None:
                 break
             for pivot in range(3) if best == 0 else (best,):
@@ -219,35 +233,42 @@ class WearFilter:
                 normal = normal - normal[:, pivot, None] * own
                 normal[pivot] = own
             chosen.append(best)
-        is_chosen = [(0 if k < 3 else k) in chosen for k in range(unknowns)]
+        is_chosen = [(0 if k < 3 else k) in chosen for k in range(common + 1)]
         found = np.where(is_chosen, normal[:, -1], _F(0))
         self.current = found[:3]
-        shares = np.minimum(found[3:], _F(1))
+        shares = np.minimum(found[common] + found[3:common], _F(1))
         self.codes = np.where(shares > 0, shares * _F(LOST_MAX) + _F(0.5), 0).astype(np.int64)
 
-    def _gain(self, normal: Float32, first: int, chosen: list[int]) -> np.float32:
-        """Return what a limb, or the current (0), explains of the residual of the chosen ones.
 
-        It is -1 if the data cannot separate it from them, or if a share would be implausible.
-        """
-        if first == 0:
-            values = _solve(normal[:3, :3], normal[:3, -1])
-        else:
-            left = normal[first, first]
-            if not left > _APART * self._information[first, first]:
-                return _F(-1)
-            values = normal[first : first + 1, -1] / left
-        shares = [normal[k, -1] for k in chosen if k]
-        for k, value in enumerate(values):
-            parts = [normal[limb, first + k] * value for limb in chosen if limb]
-            shares = [share - part for share, part in zip(shares, parts, strict=True)]
-        if not all(_LEAST < share < _MOST for share in (*shares, *(values if first else ()))):
+def _gain(normal: Float32, first: int, chosen: list[int], least: np.float32) -> np.float32:
+    """Return what a limb, all limbs (the last unknown), or the current (0) explains of the residual.
+
+    It is -1 if a limb has no more than ``least`` information beyond the chosen unknowns, so that the data
+    cannot separate it from them, or if a share would be implausible.
+    """
+    common = len(normal) - 1
+    if first == 0:
+        values = _solve(normal[:3, :3], normal[:3, -1])
+    else:
+        left = normal[first, first]
+        if not left > least:
             return _F(-1)
-        gain = _F(0)
-        for k, value in enumerate(values):
-            part = normal[first + k, -1] * value
-            gain = part if k == 0 else gain + part
-        return np.float32(gain)
+        values = normal[first : first + 1, -1] / left
+    found = {unknown: normal[unknown, -1] for unknown in chosen if unknown}
+    for k, value in enumerate(values):
+        found = {unknown: share - normal[unknown, first + k] * value for unknown, share in found.items()}
+    if first:
+        found[first] = values[0]
+    of_all = found.pop(common, None)
+    if of_all is not None and not _LEAST < of_all <= _COMMON_MOST:
+        return _F(-1)
+    if not all(_LEAST < (of_all or _F(0)) + share < _MOST for share in found.values()):
+        return _F(-1)
+    gain = _F(0)
+    for k, value in enumerate(values):
+        part = normal[first + k, -1] * value
+        gain = part if k == 0 else gain + part
+    return np.float32(gain)
 
 
 def _solve(matrix: Float32, right: Float32) -> Float32:

@@ -67,6 +67,19 @@ def test_a_shell_completes_commands(words: str, offered: set[str]) -> None:
     assert set(done.stdout.split()) == offered, done.stderr
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="closes streams by a shell")
+@pytest.mark.parametrize(("closed", "other"), [(1, "stderr"), (2, "stdout")])
+def test_a_closed_stream_is_not_missed(closed: int, other: str) -> None:
+    """And what belongs there is not printed to the other one."""
+    line = f'exec "$0" -m frogkick.cli.main simulate --actions B --json {closed}>&-'
+    done = subprocess.run(
+        ["sh", "-c", line, sys.executable], capture_output=True, text=True, check=False
+    )  # fmt: skip
+    printed = getattr(done, other)
+    assert done.returncode == 0 and "Traceback" not in printed
+    assert (other == "stdout") is ("speed_mps" in printed)
+
+
 def test_the_version_is_one_line() -> None:
     output = CliRunner().invoke(app, ["--version"])
     assert (output.exit_code, output.stdout) == (0, f"frogkick {frogkick.__version__}\n")

@@ -154,6 +154,7 @@ def _run(arguments: list[str] | None) -> int:
 def main() -> None:
     """Entry point of the ``frogkick`` command."""
     try:
+        _open_closed_streams()
         sys.unraisablehook = _raise_again
         if hasattr(signal, "SIGALRM"):
             signal.signal(signal.SIGALRM, _interrupt)
@@ -168,6 +169,16 @@ def main() -> None:
         _complain(_INTERRUPTED)
         code = INTERRUPTED
     sys.exit(code)
+
+
+def _open_closed_streams() -> None:
+    """Discard what is printed if standard output or error was closed (``>&-``).
+
+    Python would print to the other one of the two, and the next file that is opened would be in its place.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
 
 
 def _ignore_signals() -> None:

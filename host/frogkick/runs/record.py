@@ -130,7 +130,6 @@ class Recording:
         The host decides on its own clock. Its planning times are left out, so that a seed gives the same log.
         """
         decisions, onboard = self.decisions[first:], self.options.onboard
-        timed = self.pool is None or self._plans_are_timed
         offset_us = self.clock_offset_us if onboard else 0
         fixes = reversed(list(enumerate(self.fixes)))
         fix_rows = {fix.sequence: row for row, fix in fixes}  # the first row of a duplicate
@@ -153,7 +152,7 @@ class Recording:
             cost=np.array([float(d.cost) for d in decisions]) * planned,
             estimate=states("estimate") * planned[:, None],
             predicted=states("predicted") * planned[:, None],
-            plan_s=integers("plan_us") * 1e-6 * planned if onboard and timed else None,
+            plan_s=integers("plan_us") * 1e-6 * planned if onboard else None,
             extra={
                 **{name: integers(name) for name in ("status", "path_index", "scheduled_us")},
                 "limb_use": integers("limb_use").reshape(-1, LIMBS_MAX),
@@ -162,11 +161,6 @@ class Recording:
                 **({"lost": integers("lost").reshape(-1, LIMBS_MAX)} if self.options.learn else {}),
             },
         )
-
-    @property
-    def _plans_are_timed(self) -> bool:
-        """Whether computing takes time on the robot's clock; it takes none of a simulated pool's time."""
-        return any(decision.plan_us for decision in self.decisions)
 
     def fix_columns(self, first: int = 0) -> Fixes:
         """Fixes as log columns, from row ``first`` on."""
@@ -272,7 +266,7 @@ class Recording:
             limit_violations=None
             if self.pool is None and not pulses
             else len(violations(self.robot, pulses)),
-            plan_ms_p99=float(np.percentile(plan_ms, 99)) if plan_ms and self._plans_are_timed else math.nan,
+            plan_ms_p99=float(np.percentile(plan_ms, 99)) if plan_ms else 0.0,
         )
 
 

@@ -236,8 +236,8 @@ class Tracking:
     """How well a run followed its path, from the first decision to the end.
 
     Distances are from the path's polyline to the true poses (simulated runs) or to the fixes.
-    ``limit_violations`` is None if the pins were not seen. ``plan_ms_p99`` is NaN if the planner's computing
-    time was not measured: the core on this computer takes none of the simulated pool's time.
+    ``limit_violations`` is None if the pins were not seen. ``plan_ms_p99`` is 0 where planning takes no time
+    of the run: in the simulated pool, whose clock stands still meanwhile.
     """
 
     mean_distance_m: float

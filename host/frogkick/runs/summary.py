@@ -230,7 +230,7 @@ def tracking_of_log(run: RunLog) -> Tracking:
         decisions=computed["decisions"],
         fixes_lost=int(number("fixes_lost")),
         limit_violations=int(held["limit_violations"]) if "limit_violations" in held else None,
-        plan_ms_p99=number("plan_ms_p99") or math.nan,  # an older log has 0 if it was not measured
+        plan_ms_p99=number("plan_ms_p99"),
     )
 
 

@@ -80,8 +80,15 @@ static void fill_limb(fk_guard_t *guard, uint32_t at, uint32_t on_us)
 
 void fk_guard_init(fk_guard_t *guard)
 {
-    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-        fill_limb(guard, limb, FK_DUTY_ON_MAX_US);
+    for (uint32_t at = 0u; at < FK_LIMBS_MAX; ++at) {
+        /* One entry, longer than any pulse: as much of it leaves the duty window as a new pulse brings into it, so that
+         * until it began before that window there is no room for even the shortest. */
+        fk_guard_limb_t *limb = &guard->limbs[at];
+        fill_limb(guard, at, 0u);
+        limb->on_us[0] = FK_DUTY_ON_MAX_US;
+        limb->next = 1u;
+        limb->off_us = FK_PORT_LATE_US;
+        seal_limb(guard, at);
     }
     guard->fix_us = 0u;
     guard->closed_loop = 0u;

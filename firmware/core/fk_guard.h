@@ -71,8 +71,8 @@ typedef struct {
 #define FK_UNKNOWN_HEAT_REST_US                                                                                       \
     ((FK_DUTY_WINDOW_US > FK_REST_MIN_US ? FK_DUTY_WINDOW_US : FK_REST_MIN_US) + FK_PORT_LATE_US)
 
-/* The limbs' heat is unknown: the history is filled as if each limb had been on for all of FK_DUTY_ON_MAX_US just
- * before time 0, or for as much of it as pulses and rests allow. */
+/* The limbs' heat is unknown: no pulse before FK_UNKNOWN_HEAT_REST_US. The history is filled as if each limb had been on for
+ * all of FK_DUTY_ON_MAX_US from time 0 on. */
 void fk_guard_init(fk_guard_t *guard);
 
 /* After fk_guard_init: fill the history as if each limb had been on for its persistent time just before time 0, since

@@ -94,8 +94,9 @@ void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t
 {
     robot->reset = reset;
     robot->persistent = persistent;
+    /* Of unknown heat nothing is kept until the first pulse, which is allowed when the limbs have rested: a reset before
+     * that begins their rest again. */
     robot->heat_unknown = (fk_guard_resume(&robot->guard, persistent) == 0) ? 1u : 0u;
-    fk_guard_keep(&robot->guard, persistent);
 }
 
 void fk_robot_use_learned(fk_robot_t *robot, fk_wear_persistent_t *learned)

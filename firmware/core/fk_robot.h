@@ -47,8 +47,8 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
 /* Why the chip started. Call it after fk_robot_init() and before the first tick.
  * @param reset       FK_RESET_...
  * @param persistent  RAM that no start-up code clears, for the robot to use as long as it lives: the limbs' heat,
- *                    across resets. Where it is damaged or lost they count as fully heated at time 0, as they do
- *                    without this call
+ *                    across resets. Where it is damaged or lost no pulse is allowed before
+ *                    FK_UNKNOWN_HEAT_REST_US, as without this call
  */
 void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t *persistent);
 

@@ -33,6 +33,8 @@ def assert_fully_used(guard: Guard) -> None:
     """As if all the heat that is allowed had gone into each limb just before time 0; none after the rest."""
     for at_us in (0, REST_US, WINDOW_US // 2, WINDOW_US - PULSE_MAX_US):
         assert not any(guard.allow(1 << limb, 1, at_us) for limb in range(8))
+    for pulse_us in (1, PULSE_MAX_US // 2, PULSE_MAX_US):
+        assert not any(guard.allow(1 << limb, pulse_us, UNKNOWN_REST_US - 1) for limb in range(8)), pulse_us
     assert guard.allow(0b0011, PULSE_MAX_US, UNKNOWN_REST_US)
     assert guard.allow(0b1100, PULSE_MAX_US, UNKNOWN_REST_US + PULSE_MAX_US + LATE_US)
 
@@ -169,8 +171,14 @@ def test_a_reset_before_limbs_of_unknown_heat_have_rested_begins_their_rest_agai
     core().fk_robot_note_reset(first.memory, RESET["POWER"], lost)
     again = Robot(now_us=0, heat_known=False)
     core().fk_robot_note_reset(again.memory, RESET["WATCHDOG"], lost)
-    assert list(lost.on_us) == [400_000] * 8
     again.begin("ARMED")
-    again.now_us = 4_800_000
+    again.now_us = UNKNOWN_REST_US - 1
     assert again.status("ARM") == again.stroke("A") == "OK"
-    assert again.run_until(again.now_us + 1000) == []
+    assert again.ask("STATUS")["rest_us"] == 1
+    assert again.run_until(again.now_us) == []
+    again.now_us = UNKNOWN_REST_US
+    assert again.stroke("A") == "OK"
+    assert len(again.run_until(again.now_us + 1000)) == 1
+    third = Robot(now_us=0, heat_known=False)
+    core().fk_robot_note_reset(third.memory, RESET["WATCHDOG"], lost)
+    assert third.ask("STATUS")["rest_us"] == 0, "kept from the first pulse on"

@@ -118,6 +118,8 @@ def test_the_devicetree_cuts_the_flash_and_names_the_limbs(board: str, tmp_path:
     limbs = len(load_robot("frog2022").limbs)
     assert cells[1::3] == [int(pin.rstrip("u")) for pin in pins[1].split(", ")][:limbs]
     assert set(cells[2::3]) == {0}, "high is heating"
+    for label in tree.label2node.keys() & {"spi2"}:
+        assert tree.label2node[label].props["status"].to_string() == "disabled", "its pins are the limbs'"
 
 
 def test_lists_and_bindings_name_what_is_there() -> None:

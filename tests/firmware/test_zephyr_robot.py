@@ -95,6 +95,7 @@ def test_the_devicetree_cuts_the_flash_and_names_the_limbs(board: str, tmp_path:
     overlay = ROBOT / "boards" / f"{board}.overlay"
     board_name = board.removesuffix("_nrf52832").upper()
     text = f"#define {board_name}\n#define GPIO_ACTIVE_HIGH 0\n"
+    text += "#define NRF_PSEL(function, port, pin) (32 * (port) + (pin))\n"
     text += f'#include "{DECLARED / "board.dts"}"\n#include "{overlay}"\n'
     (tmp_path / "all.h").write_text(text)
     zig("host").run(["-E", "-P", "-x", "assembler-with-cpp", "all.h", "-o", "all.dts"], tmp_path)
@@ -120,6 +121,9 @@ def test_the_devicetree_cuts_the_flash_and_names_the_limbs(board: str, tmp_path:
     assert set(cells[2::3]) == {0}, "high is heating"
     for label in tree.label2node.keys() & {"spi2"}:
         assert tree.label2node[label].props["status"].to_string() == "disabled", "its pins are the limbs'"
+    for label in ("uart0_default", "uart0_sleep"):
+        console = tree.label2node[label].nodes["group1"].props["psels"].to_nums()
+        assert not set(console) & {2, 3, 4, 5, 28, 29, 30, 31}, "where a battery may be measured"
 
 
 def test_lists_and_bindings_name_what_is_there() -> None:

@@ -129,7 +129,7 @@ CODE = {
         "fk_robot.c", "outputs->all_off = robot->all_off;", "outputs->all_off = 0u;", "off",
     ),
     "a reset forgets": ("fk_guard.c", "limb, persistent->on_us[limb]);", "limb, 0u);", "duty"),
-    "unknown heat is none": ("fk_guard.c", "limb, FK_DUTY_ON_MAX_US);", "limb, 0u);", "duty"),
+    "unknown heat is none": ("fk_guard.c", "limb->on_us[0] = FK_DUTY_ON_MAX_US;", "", "duty"),
     "what is damaged counts": (
         "fk_guard.c", "if (persistent->crc != crc_of(persistent)) {", "if (0) {", "duty",
     ),

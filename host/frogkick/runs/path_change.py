@@ -26,7 +26,7 @@ HOLD_LIMIT_M = 0.1
 """Largest distance from the end of a path for a robot that holds there."""
 AGAIN_POINTS = 2
 """After this many points of its second lap the robot is sent new laps, and continues in their first one."""
-OFF, ANEW_AFTER, ANEW_MOST = 0.65, 2, 5
+OFF, ANEW_AFTER, ANEW_MOST = 0.65, 2, 2
 """A robot that is this far from its entry, in radii of the circle, gets another one from where it is: this
 many decisions after the last path at the earliest, and this many times at most."""
 MOVING_MPS = 0.005

@@ -26,9 +26,10 @@ HOLD_LIMIT_M = 0.1
 """Largest distance from the end of a path for a robot that holds there."""
 AGAIN_POINTS = 2
 """After this many points of its second lap the robot is sent new laps, and continues in their first one."""
-OFF, ANEW_AFTER, ANEW_MOST = 0.65, 2, 2
+OFF, ANEW_AFTER = 0.65, 2
 """A robot that is this far from its entry, in radii of the circle, gets another one from where it is: this
-many decisions after the last path at the earliest, and this many times at most."""
+many decisions after the entry at the earliest. One that cannot follow that one either gets no third: it
+follows the circle from aside."""
 MOVING_MPS = 0.005
 """At a lower speed the robot's heading is its course."""
 SHIFT_GAIN = 0.7
@@ -128,7 +129,8 @@ class Holding:
         self._laps = self._hold.laps
         self._beside_m: list[Float64] = []  # the robot's offset from its place on the path, in a lap
         self._off_m = 0.0  # the same distance at the last decision on an entry
-        self._followed_for = self._anew = 0  # decisions on an entry, and how many were sent anew
+        self._followed_for = 0  # decisions on the entry
+        self._is_anew = False  # another entry was sent
         self._is_sent = self.began = False
 
     def due(self, decisions: Sequence[Decision]) -> Path | None:
@@ -136,8 +138,8 @@ class Holding:
         if self._is_sent or not decisions or decisions[-1].status != 0:
             return None
         if self._circle_point and not self.began and (anew := self._entry_from(decisions[-1])):
-            self._hold, self._is_sent = anew, True
-            self._anew += 1
+            self._hold = anew
+            self._is_sent = self._is_anew = True
             return anew.entry
         if decisions[-1].path_index < self._send_at:
             return None
@@ -152,8 +154,8 @@ class Holding:
 
     def _entry_from(self, decision: Decision) -> Hold | None:
         """Another way onto the circle, if the robot is too far from the one that it follows."""
-        too_far = self._off_m > OFF * self._radius_m
-        if not too_far or self._followed_for < ANEW_AFTER or self._anew == ANEW_MOST:
+        is_far = self._off_m > OFF * self._radius_m
+        if self._is_anew or not is_far or self._followed_for < ANEW_AFTER:
             return None
         x, y, heading, ahead_mps, left_mps, _ = decision.predicted.tolist()
         is_moving = math.hypot(ahead_mps, left_mps) > MOVING_MPS

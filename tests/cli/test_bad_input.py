@@ -267,6 +267,8 @@ def test_one_line_exit_two_and_nothing_written(
         ("simulate --cycles 1.5", "--cycles is '1.5', allowed is a whole number of 1 to 200"),
         ("simulate --phase half", "--phase is 'half', needed is a number (see"),
         ("run --plan nobody", "--plan is 'nobody', which is not one of 'onboard', 'host', 'both' (see"),
+        ("simulate {x.fkt}", "x.fkt' is not UTF-8 text (byte 8): name a robot's TOML file"),
+        ("push {x.fkt} --robot serial:/dev/null --key {folder}", "cannot be read: Is a directory; check the"),
         ("simulate --actions B --phase 0.2", "--actions uses the robot's own profile"),
         ("study loop --tables {missing.fkt} --out out", "tables '"),
         ("simulate --initial-velocity 0.1,0,0", "a gait begins at rest: give --actions"),

@@ -88,7 +88,9 @@ def read_key(file: Path) -> bytes:
     except FileNotFoundError:
         raise InputError(f"no owner's key in {str(file)!r}: make one with 'frogkick own'") from None
     except OSError as error:
-        raise InputError(f"owner's key {str(file)!r} cannot be read: {error}") from error
+        raise InputError(
+            f"owner's key {str(file)!r} cannot be read: {error.strerror}; check the path"
+        ) from error
     except ValueError:
         key = b""
     if len(key) != KEY_BYTES or not any(key):

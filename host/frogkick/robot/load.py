@@ -94,8 +94,12 @@ def load_robot(name_or_path: Robot | str | Path) -> Robot:
         path = existing_file(text, "robot file")
     try:
         content = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"robot file {text!r} cannot be read as UTF-8 text: {error}") from error
+    except OSError as error:
+        raise InputError(f"robot file {text!r} cannot be read: {error.strerror}; check the path") from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"robot file {text!r} is not UTF-8 text (byte {error.start}): name a robot's TOML file"
+        ) from error
     return parse_robot(content, source=text, folder=path.parent)
 
 

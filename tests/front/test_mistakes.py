@@ -85,7 +85,10 @@ OF_A_TABLE: dict[str, tuple[Callable[[Any], object], str]] = {
     "a number as a planner": (lambda t: fk.Planner(t, planner=5), "5"),
     "a seed with a point": (lambda t: fk.run(t, seed=1.5), "seed is 1.5: give 0 or more"),
     "seconds as text": (lambda t: fk.run(t, time_limit_s="30"), "simulated time is '30' s: give"),
-    "a depth as text": (lambda t: fk.Planner(t, depth="3"), "--depth is '3', but the planner looks 1"),
+    "a depth as text": (
+        lambda t: fk.Planner(t, depth="3"),
+        "--depth is '3', allowed is 1 to 4",
+    ),
     "a pose alone": (lambda t: fk.Planner(t).plan([0, 0, 0], "line"), "state is [0, 0, 0]: give six numbers"),
     "degrees as radians": (
         lambda t: fk.Planner(t).plan([0, 0, 90, 0, 0, 0], "line"),

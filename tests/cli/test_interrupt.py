@@ -25,6 +25,13 @@ RECORD_S = str(count(5, 5, 0))
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to a process group")
 
 
+def as_in_a_terminal() -> None:
+    """What tests inherit from nohup or from a job in the background ignores some signals."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_DFL)
+
+
 def group_members(group: int) -> list[int]:
     """Processes of a group that are alive, by the system's own table."""
     rows = []
@@ -61,6 +68,7 @@ def test_library_build(tmp_path: Path, whole_group: bool, number: int) -> None:
             "--record-s", RECORD_S,
         ],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=as_in_a_terminal,
     )  # fmt: skip
     assert process.stderr is not None
     try:
@@ -194,7 +202,7 @@ def test_wherever_the_interpreter_is(tmp_path: Path, text: str) -> None:
     (tmp_path / "instead.py").write_text(INSTEAD_OF_A_COMMAND.format(text=text))
     done = subprocess.run(
         [sys.executable, "-m", "instead"],
-        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=25.0,
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=25.0, preexec_fn=as_in_a_terminal,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "frogkick: interrupted\n"

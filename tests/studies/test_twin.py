@@ -320,7 +320,7 @@ def test_wrong_input_is_one_line(
     for more, line in (
         (["--robot", "frog2022"], "has no [[effect]]"),
         (["--model", "hexapod"], "differ in id"),
-        (["--runs", str(tmp_path / "none")], "is no folder"),
+        (["--runs", str(tmp_path / "none")], "does not exist: check the path"),
         (["--path", "lin"], "did you mean"),
         (["--library", str(libraries[1])], "build it again"),
     ):

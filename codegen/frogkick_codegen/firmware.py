@@ -103,6 +103,7 @@ FIX_LOST_CEILING_S = 2.0
 CHECKED_CEILING = 18
 """What no robot's limits may exceed: the same as in fk_guard.h, where the compiler holds them again."""
 _PORT_LATE_US = 200
+"""``FK_PORT_LATE_US``: what a port may take from the time that it reports to the pins."""
 
 
 def _require_limits(robot: Robot) -> None:

@@ -128,8 +128,8 @@ class Holding:
         self._circle_point: int | None = None
         self._laps = self._hold.laps
         self._beside_m: list[Float64] = []  # the robot's offset from its place on the path, in a lap
-        self._off_m = 0.0  # the same distance at the last decision on an entry
-        self._followed_for = 0  # decisions on the entry
+        self._off_m = 0.0  # the length of that offset at the last decision, on an entry or in a lap
+        self._followed_for = 0  # decisions since the last path took over
         self._is_anew = False  # another entry was sent
         self._is_sent = self.began = False
 

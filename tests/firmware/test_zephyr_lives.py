@@ -13,6 +13,7 @@ from zephyr_robot import ROBOT, Life, ZephyrRobot, configuration, defines, play
 
 from frogkick.link import auth
 from frogkick.link.layout import link_layout
+from frogkick.paths import shape
 from frogkick.robot import load_robot
 from frogkick.runs.session import LinkError
 from frogkick_codegen.firmware import robot_config
@@ -98,6 +99,29 @@ def test_what_has_arrived_when_a_connection_ends(life: Life, before: list[str]) 
     session.request("ARM")  # the next host's own
     life.live(0.5)
     assert life.state() == STATE["ARMED"]
+
+
+def test_a_run_that_ends_without_its_host(life: Life) -> None:
+    """It goes on by the fixes that it has; when it ends, nobody is there for whom to stay armed."""
+    session = life.session
+    session.send_path(shape("line"))
+    session.request("PARAM", {"parameter": link_layout().parameter["COST"], "value": 0.0})
+    session.request("ARM")
+    end = shape("line")
+    pose = {"x_m": float(end.x_m[-1]), "y_m": float(end.y_m[-1]), "heading_rad": 0.0}
+    session.request("FIX", {"fix_sequence": 1, "capture_age_us": 0, "quality": 255, **pose})
+    session.request("START", {"delay_us": 300_000})
+    life.robot.stage.play_disconnect()
+    life.live(0.25)
+    assert life.robot.crystal_held, "the run goes on"
+    life.live(0.1)
+    assert not life.robot.crystal_held, "the first decision ended it"
+    life.robot.connect()
+    assert life.state() == STATE["DISARMED"]
+    session.request("ARM")  # the next host's own
+    life.live(1.0)
+    assert life.state() == STATE["ARMED"]
+    assert life.robot.watchdog_s < 0.5
 
 
 @pytest.mark.parametrize("error", [12, 22])  # ENOMEM, EINVAL

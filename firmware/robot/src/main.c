@@ -159,6 +159,19 @@ static void send_answers(void)
     }
 }
 
+/* The host, as far as its connection tells. */
+typedef enum {
+    HOST_IS_HEARD, /* or has not connected since the start */
+    HOST_HAS_LEFT, /* its connection has ended, and frames that it sent before may still wait */
+    HOST_IS_GONE,  /* and none waits any more; from the next frame on there is another one */
+} host_t;
+
+/* Strokes are for an armed robot that is not in a run. */
+static int32_t is_armed(void)
+{
+    return fk_robot_may(&robot, FK_EVENT_STROKE) == FK_STATUS_OK;
+}
+
 int main(void)
 {
     const struct device *const watchdog = DEVICE_DT_GET(DT_NODELABEL(wdt0));
@@ -180,23 +193,25 @@ int main(void)
         printk("no radio: error %d\n", error);
     }
 
-    int32_t host_is_gone = 0; /* 1: its connection has ended, and frames that it sent before may still wait */
+    host_t host = HOST_IS_HEARD;
     for (;;) {
         fk_outputs_t outputs;
 
         (void)wdt_feed(watchdog, channel);
         if (fk_radio_take_drop() != 0) {
-            host_is_gone = 1;
+            host = HOST_HAS_LEFT;
         }
-        if (host_is_gone != 0) {
+        if (host != HOST_IS_HEARD) { /* each time, as a run that goes on without a host may end armed */
             fk_robot_note_link_lost(&robot);
         }
         const int32_t supply_is_low = fk_supply_is_low(fk_limbs_now_us());
         fk_robot_note_supply(&robot, (supply_is_low != 0 || fk_battery_pins_are_low() != 0) ? 1 : 0);
         const int32_t taken = take_frame();
-        if (host_is_gone != 0) { /* again, before a tick: an ARM among them must not keep the robot armed */
+        if (host == HOST_HAS_LEFT) { /* again, before a tick: an ARM among them must not keep the robot armed */
             fk_robot_note_link_lost(&robot);
-            host_is_gone = taken;
+            host = (taken != 0) ? HOST_HAS_LEFT : HOST_IS_GONE;
+        } else if (taken != 0) {
+            host = HOST_IS_HEARD;
         }
         const uint64_t begin_us = fk_limbs_now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
@@ -209,7 +224,10 @@ int main(void)
         const uint64_t after_us = fk_limbs_now_us();
         uint64_t sleep_us = (outputs.next_tick_us > after_us) ? outputs.next_tick_us - after_us : 0u;
         sleep_us = (sleep_us > LONGEST_SLEEP_US) ? LONGEST_SLEEP_US : sleep_us;
+        if (at_once != 0 || taken != 0 || (host != HOST_IS_HEARD && is_armed() != 0)) {
+            sleep_us = 0u;
+        }
         (void)wdt_feed(watchdog, channel);
-        (void)k_sem_take(&wake, K_USEC((at_once != 0 || taken != 0) ? 0u : sleep_us));
+        (void)k_sem_take(&wake, K_USEC(sleep_us));
     }
 }

@@ -19,6 +19,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.filter import Filter, Noise, Series, deviances, maximum_likelihood_noise
 from frogkick.identification.fit import Model, fit_many, rollouts_of
+from frogkick.identification.horizons import horizons_of
 from frogkick.identification.outcome import identify, too_little
 from frogkick.identification.search import nominal_fit, search
 from frogkick.identification.segments import Data, Segments, replicate_count, segments_of
@@ -160,6 +161,34 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
     with_both, without = rollouts_of([Model(robot(), terms, noise), Model(robot(), (), noise)], swims)
     assert PredictionError.of(prediction_errors(with_both, swims)).position_rmse_m < 0.6e-3
     assert PredictionError.of(prediction_errors(without, swims)).position_rmse_m > 2e-3
+
+
+@pytest.mark.parametrize("drift", [0.012, -0.012])
+def test_a_camera_clock_that_drifts_is_followed_to_the_end_of_a_run(drift: float) -> None:
+    """Either way: by a slow clock, fixes stated for a period's end show the next stroke."""
+    swims = [make_swim([{"name": "clock_drift", "drift": drift}], 5, 20)]
+    noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
+    models = [Model(robot(), terms, noise) for terms in ((term("clock_drift", drift),), ())]
+    known, without = (
+        PredictionError.of(prediction_errors(each, swims)) for each in rollouts_of(models, swims)
+    )
+    assert known.count >= 19
+    assert known.position_rmse_m < 0.6e-3 and known.heading_rmse_rad < 6e-3
+    assert without.position_rmse_m > 1e-3
+    for each in horizons_of(models[1], models[0], swims):
+        assert each.after.position_rmse_m < 0.5 * each.before.position_rmse_m
+
+
+@from_ci
+def test_a_camera_clock_that_drifts_is_found_among_late_and_weak_ones() -> None:
+    swims = [make_swim([{"name": "clock_drift", "drift": -0.004}], seed, 16) for seed in (5, 6)]
+    rivals = [
+        term(name) for name in ("clock_drift", "fix_latency", "limb_wear all", "battery_sag", "warm_up")
+    ]
+    found = search(*nominal_fit(swims, robot()), rivals)
+    assert [each.title for each in found.fitted.model.terms] == ["clock_drift"]
+    ((drift,),) = intervals(found.fitted, found.data, discretisation_shift(found.fitted, found.data))
+    assert drift.contains(-0.004) and drift.high - drift.low < 0.0015
 
 
 @from_ci

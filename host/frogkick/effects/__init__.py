@@ -12,7 +12,7 @@ from frogkick.effects.body import (
     MunkMoment,
     OffCentreMass,
 )
-from frogkick.effects.camera import CameraScale, FixLatency, TagOffset
+from frogkick.effects.camera import CameraScale, ClockDrift, FixLatency, TagOffset
 from frogkick.effects.law import Law
 from frogkick.effects.limbs import BatterySag, GroupGain, GroupLoss, LimbMemory, LimbWear, WarmUp
 from frogkick.effects.registry import BUILT_IN, World, effects_of, make_effect, make_effects, read_world
@@ -28,10 +28,10 @@ from frogkick.effects.water import (
 )
 
 __all__ = [
-    "BUILT_IN", "Acting", "BatterySag", "Body", "CameraScale", "CentreMass", "DragScale", "Effect", "Fix",
-    "FixLatency", "GroupGain", "GroupLoss", "History", "Hull", "Law", "LimbFatigue", "LimbMemory",
-    "LimbMount", "LimbPlate", "LimbWear", "MassScale", "MunkMoment", "OffCentreMass", "Parameter",
-    "ShearCurrent", "SteadyCurrent", "SteadyWrench", "Stroke", "TagOffset", "Vortex", "Wall", "WarmUp",
-    "World", "YawDrag", "body_at", "body_effects", "changed_robot", "effects_of", "make_effect",
+    "BUILT_IN", "Acting", "BatterySag", "Body", "CameraScale", "CentreMass", "ClockDrift", "DragScale",
+    "Effect", "Fix", "FixLatency", "GroupGain", "GroupLoss", "History", "Hull", "Law", "LimbFatigue",
+    "LimbMemory", "LimbMount", "LimbPlate", "LimbWear", "MassScale", "MunkMoment", "OffCentreMass",
+    "Parameter", "ShearCurrent", "SteadyCurrent", "SteadyWrench", "Stroke", "TagOffset", "Vortex", "Wall",
+    "WarmUp", "World", "YawDrag", "body_at", "body_effects", "changed_robot", "effects_of", "make_effect",
     "make_effects", "parameter", "read_world", "rods_of",
 ]  # fmt: skip

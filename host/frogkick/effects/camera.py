@@ -56,3 +56,18 @@ class FixLatency(Effect):
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
         fix.capture_s += self.delay_s
         return fix
+
+
+class ClockDrift(Effect):
+    """The camera stamps its pictures by a clock of its own, which is not kept in step with the robot's."""
+
+    name = "clock_drift"
+    about = "the camera's clock gains or loses time against the robot's"
+    shown_by = "a lag between command and motion that grows through a run, or turns into a lead"
+    drift = parameter("1", -0.02, 0.02, 0.0, "time gained per time since the run began")
+
+    def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        gained_s = self.drift * fix.capture_s
+        fix.capture_s += gained_s
+        fix.delay_s -= gained_s  # it arrives when it would
+        return fix

@@ -156,7 +156,5 @@ class _OpenLoopBatch(RolloutBatch):
             shown = []
             for lane, (each, end_s) in enumerate(zip(self._starts, ends_s, strict=True)):
                 lost = step >= len(each.ends_s) or each.checkpoint.failed or lane in self.batch.failures
-                shown.append(
-                    np.full(3, np.nan) if lost else self.camera_fix_at(self.lane_states[lane], end_s)[1]
-                )
+                shown.append(np.full(3, np.nan) if lost else self.shown_at_end(self.lane_states[lane], end_s))
             yield shown

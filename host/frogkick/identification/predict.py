@@ -33,7 +33,7 @@ PHASES = ((0.12, 0.35), (0.35, 0.65), (0.65, 1.0))
 """Phases of a period, as shares of it: limbs straighten, the robot glides, the period ends."""
 
 _RNG = np.random.default_rng(0)
-_HISTORY_S = 1.0  # of the trajectory before a correction that are stored, for late fixes
+_HISTORY_S = 1.0  # of the trajectory before the latest fix that are stored, for late fixes
 
 LONGEST_S = 8e-3
 """Longest step. Some longer ones fail to converge, and then their lane goes on alone at the cost of eight
@@ -245,7 +245,7 @@ class RolloutBatch:
         ended = -1
         for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
             if lane_state.corrected_s <= swim.start_s[period] + 1e-6 and len(lane_state.times):
-                lane_state.predicted[period] = self.camera_fix_at(lane_state, at_s)[1]
+                lane_state.predicted[period] = self.shown_at_end(lane_state, at_s)
                 ended = int(period)
         first = lane_state.next_fix
         while lane_state.next_fix < len(swim.time_s) and swim.arrival_s[lane_state.next_fix] <= at_s + 1e-9:
@@ -267,7 +267,7 @@ class RolloutBatch:
         lane_state.moved[:, 0] += offset - at_s * rate
         lane_state.moved[:, 1] += rate
         lane_state.poses = lane_state.poses + offset + (lane_state.times - at_s)[:, None] * rate
-        kept = lane_state.times >= at_s - _HISTORY_S
+        kept = lane_state.times >= min(at_s, lane_state.filter.time_s) - _HISTORY_S
         lane_state.times, lane_state.poses = lane_state.times[kept], lane_state.poses[kept]
         lane_state.corrected_s = at_s
         return offset, rate
@@ -294,10 +294,31 @@ class RolloutBatch:
         """True capture time of a fix with the stated time ``time_s``, and the pose that it shows."""
         pose = interpolated(lane_state.times, lane_state.poses, np.array([time_s]))[0]
         true_s, shown = _camera_fix(lane_state.camera_effects, time_s, pose)
-        if true_s != time_s:
+        for _ in range(2):
+            if true_s == time_s:
+                break
             pose = interpolated(lane_state.times, lane_state.poses, np.array([true_s]))[0]
-            _, shown = _camera_fix(lane_state.camera_effects, true_s, pose)
+            mirrored_s, shown = _camera_fix(lane_state.camera_effects, true_s, pose)
+            off_s = 2.0 * true_s - mirrored_s - time_s
+            # The delay of a clock that drifts is another one then. One that comes and goes never agrees.
+            if not 1e-6 < abs(off_s) < 0.1 * abs(true_s - time_s):
+                break
+            true_s -= off_s
         return true_s, shown
+
+    def shown_at_end(self, lane_state: LaneState, at_s: float) -> Float64:
+        """(3,) pose at a period's end, as ``Segments.measured`` would have it.
+
+        By a camera's clock that is slow, fixes stated for the end are of the next period, whose strokes no
+        prediction knows. The pose that is predicted for the end is then held against the fixes stated for it.
+        """
+        true_s, shown = self.camera_fix_at(lane_state, at_s)
+        if true_s <= at_s:
+            return shown
+        pose = interpolated(lane_state.times, lane_state.poses, np.array([at_s]))[0]
+        mirrored_s, shown = _camera_fix(lane_state.camera_effects, at_s, pose)
+        swim = lane_state.lane.swim
+        return np.asarray(shown + swim.pose_at(at_s) - swim.pose_at(2.0 * at_s - mirrored_s))
 
 
 def phase_residuals(gaps: Float64, share: Float64, heading_rad: float) -> Float64:

@@ -17,8 +17,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from frogkick.core.errors import InputError
-from frogkick.core.extras import require
+from frogkick.core.errors import InputError, require
 from frogkick.core.files import atomic_path, cache_folder, one_at_a_time, write_bytes
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import PlanConfig

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from frogkick.core.errors import FrogkickError, InputError
-from frogkick.core.extras import require
+from frogkick.core.errors import FrogkickError, InputError, require
 from frogkick_codegen.firmware import CHIPS
 
 TARGET = "nrf52832"

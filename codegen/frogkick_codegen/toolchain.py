@@ -18,8 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from frogkick.core.errors import FrogkickError, InputError, nearest_name
-from frogkick.core.extras import require
+from frogkick.core.errors import FrogkickError, InputError, nearest_name, require
 from frogkick.core.files import cache_folder, write_bytes
 
 STANDARD = ("-std=c99", "-O2")

@@ -15,7 +15,7 @@ from tests.runs import rig
 
 import frogkick as fk
 from frogkick.core.files import sole_writer
-from frogkick.front.run_progress import RunProgress
+from frogkick.front.viewing import RunProgress
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, STOPPED, TIME

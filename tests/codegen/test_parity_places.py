@@ -19,7 +19,7 @@ from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import Cost, PlanConfig, config_of
 from frogkick.robot import load_robot
-from frogkick.runs.chip_planner import ChipPlanner
+from frogkick.runs.chip_check import ChipPlanner
 from frogkick.runs.parity_scenario import (
     ParityScenario,
     call_mismatches,

@@ -14,8 +14,7 @@ from frogkick.der import prepare
 from frogkick.effects import Acting, Body, Effect, Fix, World, changed_robot, make_effect, make_effects
 from frogkick.effects.body import gyration_m
 from frogkick.effects.water import REACH_M
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import Robot, load_robot
 
 ROBOT = load_robot("frog2022")

@@ -12,7 +12,7 @@ from tests.conftest import count, from_ci
 from frogkick.core.errors import InputError
 from frogkick.effects import effects_of, rods_of
 from frogkick.library import build_library, read_library
-from frogkick.library.starts import rigid_starts
+from frogkick.library.sampling import rigid_starts
 from frogkick.library.transitions import simulate_task
 from frogkick.robot import Robot, load_robot, mirror_of
 from frogkick.robot.load import BUILT_IN, parse_robot

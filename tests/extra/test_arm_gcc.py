@@ -17,8 +17,7 @@ from frogkick.planner.plan import config_of, transitions_within
 from frogkick.pool.chip.image import load_image, unwanted
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.robot import load_robot
-from frogkick.runs.chip_check import check_on_chip
-from frogkick.runs.chip_planner import ChipPlanner, states_for_timing
+from frogkick.runs.chip_check import ChipPlanner, check_on_chip, states_for_timing
 from frogkick.runs.chip_twin import PLAN_TIME_WATCHDOG_US
 from frogkick.tables.image import open_image
 from frogkick_codegen.emit import SOURCES

@@ -16,8 +16,7 @@ from frogkick.paths import shape
 from frogkick.pool.chip import VirtualChip
 from frogkick.pool.chip.bus import CYCLES_PER_US, Peripheral
 from frogkick.pool.chip.image import load_image
-from frogkick.pool.chip.power import Watchdog
-from frogkick.pool.chip.timer import Timer
+from frogkick.pool.chip.power import Timer, Watchdog
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.runs.session import Session
 

@@ -15,7 +15,7 @@ from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.wire import BYTE_S
 from frogkick.paths import shape
-from frogkick.pool.chip.timer import Timer
+from frogkick.pool.chip.power import Timer
 from frogkick.pool.virtual_robot import VirtualRobot
 
 COMMANDS = 10

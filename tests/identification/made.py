@@ -22,8 +22,7 @@ from frogkick.identification.segments import Segments, segments_of
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, intervals, scored
 from frogkick.paths import wrap_angle
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.robot.toml_text import to_toml
 from frogkick.runs.runlog import Decisions, Fixes, RunLog, Strokes, Truth

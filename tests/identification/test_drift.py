@@ -9,7 +9,7 @@ import pytest
 from made import robot
 from numpy.typing import NDArray
 
-from frogkick.identification.drift import Drift, drift_of, filter_offsets
+from frogkick.identification.diagnostics import Drift, drift_of, filter_offsets
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 

@@ -30,8 +30,7 @@ from frogkick.library import (
     truncate_library,
     write_library,
 )
-from frogkick.library.sampling import box_velocities
-from frogkick.library.starts import rigid_starts
+from frogkick.library.sampling import box_velocities, rigid_starts
 from frogkick.robot import mirror_of, parse_robot
 from frogkick.tables.image import open_image
 

@@ -11,8 +11,7 @@ from tests.identification.made import robot
 
 from frogkick.der import prepare
 from frogkick.library import Library, error_on, quantise, sample_library, sampling
-from frogkick.library.sampling import planned_swims
-from frogkick.library.starts import VisitedStates, rigid_starts
+from frogkick.library.sampling import VisitedStates, planned_swims, rigid_starts
 from frogkick.library.store import library_of
 from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.tables.image import open_image

@@ -8,8 +8,7 @@ from tests.conftest import count
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
-from frogkick.pool.camera import Camera, deliver, measure
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool, deliver, measure
 from frogkick.robot import load_robot
 
 

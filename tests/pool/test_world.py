@@ -13,8 +13,7 @@ import frogkick as fk
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.effects import World, make_effect, read_world
 from frogkick.front.bench import why_unfinished
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import load_robot
 from frogkick.runs.summary import no_fresh_fix
 

@@ -22,8 +22,7 @@ from frogkick.identification.terms import Term
 from frogkick.identification.verdict import FOUND_LAW, intervals
 from frogkick.report.identify_page import write_identify_page
 from frogkick.report.identify_residuals import all_residuals
-from frogkick.report.law_figures import depends_on, law_figure
-from frogkick.report.laws import NEEDS, formula_of, sentence_of
+from frogkick.report.laws import NEEDS, depends_on, formula_of, law_figure, sentence_of
 
 LAWS: list[tuple[str, str, dict[str, float], str, str]] = [
     ("spring", "", {"stiffness": 0.05, "at_x": 0.1, "at_y": 0.1, "slack": 0.1}, "place",

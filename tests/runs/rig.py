@@ -16,9 +16,8 @@ from frogkick.link.wire import RobotPort
 from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.closed_loop import run_session

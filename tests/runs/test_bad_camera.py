@@ -11,7 +11,7 @@ from tests.runs import rig
 
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
-from frogkick.pool.camera import Camera
+from frogkick.pool.pool import Camera
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import Recording
 from frogkick.runs.replay import compare, replay, replay_on_host

@@ -67,8 +67,8 @@ def looking(of: Scene, by: Calibration | None = None) -> Iterator[tuple[Still, C
 
 def bent_calibration() -> Calibration:
     """Of the bent lens, known as a board tells it."""
+    from frogkick.vision.board import calibrate_corners
     from frogkick.vision.calibration import Lens, Tag
-    from frogkick.vision.pool_plane import calibrate_corners
 
     view = BENT.view
     tag = Tag(size_m=BENT.tag_size_m, height_m=BENT.tag_height_m)

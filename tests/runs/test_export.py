@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from tests.runs import rig
 
 import frogkick as fk
-from frogkick.core import extras
+from frogkick.core import errors
 from frogkick.core.errors import InputError
 from frogkick.runs.export_csv import export_csv
 from frogkick.runs.export_mcap import export_mcap
@@ -171,7 +171,7 @@ def test_pandas_gets_what_csv_gets(swum: RunLog, tmp_path: Path, monkeypatch: py
     for name, table in tables.items():
         read = pandas.read_csv(tmp_path / f"{name}.csv")
         pandas.testing.assert_frame_equal(table, read, check_dtype=False, check_exact=True)
-    monkeypatch.setattr(extras, "installed", lambda package: package != "pandas")
+    monkeypatch.setattr(errors, "installed", lambda package: package != "pandas")
     with pytest.raises(InputError, match=r"needs the package 'pandas'.*pip install 'frogkick\[pandas\]'"):
         fk.Run(**vars(swum)).to_pandas()
 
@@ -197,7 +197,7 @@ def test_the_same_run_gives_the_same_bytes(swum: RunLog, tmp_path: Path) -> None
 def test_a_package_that_is_not_there_is_named(
     swum: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(extras, "installed", lambda package: package != "mcap")
+    monkeypatch.setattr(errors, "installed", lambda package: package != "mcap")
     with pytest.raises(InputError, match=r"MCAP needs the package 'mcap'.*pip install 'frogkick\[mcap\]'"):
         fk.Run(**vars(swum)).export_mcap(tmp_path / "run.mcap")
     assert not list(tmp_path.iterdir())

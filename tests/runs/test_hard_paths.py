@@ -17,9 +17,8 @@ from frogkick.front.tables import default_tables
 from frogkick.paths import Path, from_waypoints
 from frogkick.paths.shapes import circle
 from frogkick.planner.plan import config_of
-from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.runs.closed_loop import run_session
 from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.session import Session

@@ -18,9 +18,8 @@ from frogkick.link.layout import link_layout
 from frogkick.link.log import fetch_log
 from frogkick.paths import shape
 from frogkick.planner.plan import config_of
-from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot, kept_wear
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_log import replay_log

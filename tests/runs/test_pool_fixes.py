@@ -13,8 +13,7 @@ from frogkick.core.poses import Fix
 from frogkick.effects import World, read_world
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import RESTING, Decision, RobotEvent
 from frogkick.runs.pool_fixes import HELD_UP_S, LAG_S, PoolFixes

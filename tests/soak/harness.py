@@ -22,7 +22,7 @@ from frogkick.link.layout import Arguments, Value, link_layout
 from frogkick.link.upload import upload
 from frogkick.link.wire import Edge
 from frogkick.planner.plan import config_of
-from frogkick.pool.camera import Camera
+from frogkick.pool.pool import Camera
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import SETTLE_S, START_DELAY_S, parameters
 from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, LinkError, Session

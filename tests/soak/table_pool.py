@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.poses import Fix
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool, Truth
+from frogkick.pool.pool import Camera, Pool, Truth
 from frogkick.tables.image import Tables
 
 _TOGETHER_S = 0.005  # limbs of one group

@@ -15,7 +15,7 @@ from tests.runs import rig
 from tests.structure.wheel import Environment, build_wheel, installed, repository_files, with_compiled
 
 from frogkick.cli.app import COMMANDS
-from frogkick.core.extras import EXTRAS
+from frogkick.core.errors import EXTRAS
 from frogkick_codegen.firmware import build
 
 PLACES = {

@@ -19,7 +19,7 @@ from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import config_of
 from frogkick.pool.chip.cost import CostModel
 from frogkick.robot import load_robot
-from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, states_for_timing
+from frogkick.runs.chip_check import CYCLES_PER_MS, ChipPlanner, states_for_timing
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
 from frogkick_studies.chip import (

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.poses import wrap_angle
+from frogkick.vision.board import calibrate_corners
 from frogkick.vision.calibration import Calibration, Tag
-from frogkick.vision.pool_plane import calibrate_corners
 from frogkick.vision.scene import Conditions, Scene, Thing
 from frogkick.vision.sources import Frame
 from frogkick.vision.tags import tag_cells, tag_count, tag_white

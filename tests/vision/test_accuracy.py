@@ -102,8 +102,8 @@ def test_noise_makes_the_covariance_larger() -> None:
 def test_a_tag_whose_height_is_not_stated_is_seen_elsewhere() -> None:
     """12 mm over the water, told as 0: off by what lies between camera and tag, so that height matters."""
     usual = scene()
+    from frogkick.vision.board import calibrate_corners
     from frogkick.vision.calibration import Tag
-    from frogkick.vision.pool_plane import calibrate_corners
 
     flat = calibrate_corners(usual.corners_px(), usual.pool_m, usual.view.image_px, Tag(), 0.0, 1.35)
     pose = Tracker(flat).observe(usual.picture((0.1, 0.8, 0.0), np.random.default_rng(4))).pose

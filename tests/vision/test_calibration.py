@@ -10,6 +10,7 @@ import pytest
 from tests.vision.scenes import calibration, scene
 
 from frogkick.core.errors import InputError
+from frogkick.vision.board import calibrate_corners, read_corners
 from frogkick.vision.calibration import (
     Calibration,
     Lens,
@@ -19,7 +20,6 @@ from frogkick.vision.calibration import (
     refraction_offset_m,
     write_calibration,
 )
-from frogkick.vision.pool_plane import calibrate_corners, read_corners
 from frogkick.vision.scene import looking_at
 
 DISTORTED = (-0.18, 0.05, 0.001, -0.0005, 0.0)

@@ -204,7 +204,7 @@ def run(
         )
     from frogkick.front.bench import why_unfinished
     from frogkick.front.mission import hold_report, missed_paths_report
-    from frogkick.front.run_progress import lost_limb_advice, tight_path_advice
+    from frogkick.front.viewing import lost_limb_advice, tight_path_advice
 
     cut_short = why_unfinished(found)
     if lacks := lost_limb_advice(found.ended):

@@ -28,8 +28,7 @@ from importlib import metadata, resources
 from types import FrameType
 from typing import Any, Generic, TypeVar
 
-from frogkick.core.errors import FrogkickError, InputError
-from frogkick.core.extras import require
+from frogkick.core.errors import FrogkickError, InputError, require
 from frogkick.core.interrupts import STOPS, ctrl_c_waits
 
 Ready = TypeVar("Ready")

@@ -7,19 +7,47 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from frogkick.core.arrays import Float64, dot, matmul
+from frogkick.core.compiled import BARE, cached_njit, stamp_of
 from frogkick.core.poses import rotation
+from frogkick.der import body, stepping
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
-from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, Rods
 from frogkick.der.schedule import COARSEST_OF_PLATES, STEP_S, Schedule, Stroke
 from frogkick.der.solve import SymbolicFactorisation
 from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, Nodes, workspace_of
 from frogkick.der.water import STILL, WATER, Water
+
+
+def _compiled(stamp: int) -> tuple[Any, Any, Any]:
+    @cached_njit(**BARE)
+    def run_steps(  # type: ignore[no-untyped-def]
+        mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
+    ):
+        return stamp * 0 + stepping.run_steps(
+            mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
+        )
+
+    @cached_njit(**BARE)
+    def set_accelerations(mesh, work, nodes, active, water):  # type: ignore[no-untyped-def]
+        stepping.set_accelerations(mesh, work, nodes, active, water)
+        return stamp
+
+    @cached_njit(**BARE)
+    def set_sums(mesh, x_m, v_mps, row, sums):  # type: ignore[no-untyped-def]
+        body.set_sums(mesh, x_m, v_mps, row, sums)
+        return stamp
+
+    return run_steps, set_accelerations, set_sums
+
+
+run_steps, set_accelerations, set_sums = _compiled(stamp_of("frogkick.der"))
+"""The outermost compiled functions, the only ones that are cached on disk: see frogkick.core.compiled."""
 
 WIDTH = 8  # lanes: processors have vectors of 8 float64; the work space of 16 lanes exceeds the cache
 MAX_HALVINGS = 8

@@ -18,18 +18,16 @@ from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.mission import require_room
 from frogkick.front.places import built_firmware, start_pose
-from frogkick.front.run_progress import SLOW_S
-from frogkick.front.viewing import viewed
+from frogkick.front.viewing import SLOW_S, viewed
 from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
-from frogkick.link.opening import opened, require_wire
 from frogkick.link.text_dialect import pulse_line, require_dialect
-from frogkick.link.wire import FORMS, Wire, is_target, parse_target
+from frogkick.link.wire import FORMS, Wire, is_target, opened, parse_target, require_wire
 from frogkick.paths import Path as SwimPath
 from frogkick.paths.hold import hold_at_end
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import noise_of_run
 from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.pool import noise_of_run
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, run_session
 from frogkick.runs.decision import warm_up

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frogkick.core.arguments import typed
-from frogkick.core.errors import InputError
-from frogkick.core.extras import require
+from frogkick.core.errors import InputError, require
 from frogkick.core.files import existing_file
 from frogkick.core.progress import Progress, shown
 from frogkick.front.places import built_firmware
@@ -32,8 +31,7 @@ from frogkick_codegen.probe import check_image, flash
 from frogkick_codegen.toolchain import STANDARD, zig
 
 if TYPE_CHECKING:
-    from frogkick.runs.chip_check import ChipReport
-    from frogkick.runs.chip_planner import ChipPlanner
+    from frogkick.runs.chip_check import ChipPlanner, ChipReport
 
 __all__ = ["Firmware", "build_firmware", "emit_c", "flash_firmware", "try_firmware"]
 
@@ -112,7 +110,7 @@ def measure_emitted(
     # These cannot be loaded without the extra.
     from frogkick.pool.chip.image import Layouts, load_image
     from frogkick.pool.chip.stack import StackAnalysis
-    from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner
+    from frogkick.runs.chip_check import CYCLES_PER_MS, ChipPlanner
 
     settings = config or PlanConfig()
     with tempfile.TemporaryDirectory(prefix="frogkick-measure-") as folder:
@@ -147,7 +145,7 @@ def _times(
     progress: Callable[[int, int], None],
 ) -> dict[int, DepthTime]:
     """Return the decisions at each depth, spread over the paths, with the most expensive depth first."""
-    from frogkick.runs.chip_planner import CYCLES_PER_MS, states_for_timing
+    from frogkick.runs.chip_check import CYCLES_PER_MS, states_for_timing
 
     shares = {depth: -(-states[depth] // len(SHAPES)) for depth in sorted(states, reverse=True)}
     tables, found, done = read_image(image), {}, 0

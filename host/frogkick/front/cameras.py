@@ -19,7 +19,15 @@ from frogkick.core.files import write_bytes
 from frogkick.core.poses import Fix
 from frogkick.front.viewing import camera_viewed
 from frogkick.runs.tracked_fixes import CameraFixes
-from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
+from frogkick.vision.board import (
+    Board,
+    calibrate_corners,
+    calibrate_lens,
+    calibrate_plane,
+    read_corners,
+    read_picture,
+    read_pictures,
+)
 from frogkick.vision.calibration import (
     Calibration,
     Tag,
@@ -28,7 +36,6 @@ from frogkick.vision.calibration import (
     write_calibration,
 )
 from frogkick.vision.check import Place, check_frames, check_points, known_places, rendered
-from frogkick.vision.pool_plane import calibrate_corners, calibrate_plane, read_corners
 from frogkick.vision.scene import Conditions
 from frogkick.vision.sources import Frame, open_source
 from frogkick.vision.tags import tag_cells, tag_margin

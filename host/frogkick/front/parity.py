@@ -125,7 +125,7 @@ def _single(
     progress: Callable[[int, int], None],
 ) -> list[PairReport]:
     """Compare single decisions: the chip on the first states, all other places on all of them."""
-    from frogkick.runs.chip_planner import ChipPlanner  # it cannot be loaded without the extra
+    from frogkick.runs.chip_check import ChipPlanner  # it cannot be loaded without the extra
 
     states, chip_states, seed = counts
     path = shape("sine")

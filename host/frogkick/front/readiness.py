@@ -11,8 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from frogkick.core.errors import FrogkickError
-from frogkick.core.extras import EXTRAS, install_command, installed
+from frogkick.core.errors import EXTRAS, FrogkickError, install_command, installed
 from frogkick.core.version import VERSION
 from frogkick.link.serial import ports
 

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frogkick.core.arguments import typed
-from frogkick.core.errors import InputError
-from frogkick.core.extras import EXTRAS, require
+from frogkick.core.errors import EXTRAS, InputError, require
 from frogkick.core.files import require_writable, save_result, sole_writer
 from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, read_world
@@ -49,14 +48,12 @@ from frogkick.front.places import (
     start_pose,
     swim_path,
 )
-from frogkick.front.run_progress import RunProgress, keeps_partial_log
 from frogkick.front.tables import Table, load_table
-from frogkick.front.viewing import played, viewed
+from frogkick.front.viewing import RunProgress, keeps_partial_log, played, viewed
 from frogkick.link.wire import Wire, is_target
 from frogkick.paths import Path as SwimPath
-from frogkick.pool.camera import Camera as SimulatedCamera
-from frogkick.pool.camera import noise_of_run
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera as SimulatedCamera
+from frogkick.pool.pool import Pool, noise_of_run
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed, require_time, run_session
 from frogkick.runs.decision import LiveCheck

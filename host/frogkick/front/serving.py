@@ -23,16 +23,15 @@ from frogkick.front.bench import parse_begin
 from frogkick.front.places import SIMULATED, built_firmware, require_simulator
 from frogkick.front.tables import Table, load_table
 from frogkick.link.pty_line import PtyLine, require_pseudo_terminals
-from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot, SimulatedPort
-from frogkick.pool.pool import Pool, Truth
+from frogkick.pool.pool import Camera, Pool, Truth
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed
 from frogkick.vision.calibration import Calibration, read_calibration
 from frogkick.vision.check import scene_of
 from frogkick.vision.pose import tag_place
 from frogkick.vision.scene import Conditions, Scene
-from frogkick.vision.stream import streamed
+from frogkick.vision.video import streamed
 
 RATE_HZ = 20.0
 KEPT_EVERY_S = 0.5

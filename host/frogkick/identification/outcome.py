@@ -27,12 +27,13 @@ from frogkick.identification.choice import (
     with_misfires,
 )
 from frogkick.identification.diagnostics import (
+    Drift,
+    drift_of,
     fix_innovations,
     missing_wrench,
     residual_diagnostics,
     stroke_ratios,
 )
-from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of, law_test
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, rollouts_of

@@ -25,8 +25,7 @@ from frogkick.core.poses import body_from_world
 from frogkick.der import Rods, cubic
 from frogkick.effects import rods_of
 from frogkick.effects.registry import own_code
-from frogkick.library.sampling import sample_starts
-from frogkick.library.starts import Starts
+from frogkick.library.sampling import Starts, sample_starts
 from frogkick.library.store import (
     Library,
     library_of,

@@ -12,7 +12,7 @@ import threading
 import time
 from typing import Any
 
-from frogkick.core.extras import require
+from frogkick.core.errors import require
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import BAUD, Delivery, Wire, WireError
 

@@ -21,8 +21,7 @@ from frogkick.link.layout import link_layout
 from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import Robot
 from frogkick.runs.decision import (
     LOST_FIELDS,

@@ -13,8 +13,7 @@ import numpy as np
 
 from frogkick.core.poses import Fix
 from frogkick.effects import World
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import Robot
 from frogkick.runs.decision import RESTING
 from frogkick.runs.record import Recording

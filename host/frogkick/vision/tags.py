@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 
 from frogkick.core.arrays import Float32, Float64, UInt8
-from frogkick.core.errors import InputError
-from frogkick.core.extras import require
+from frogkick.core.errors import InputError, require
 
 STANDARD = "tagStandard41h12"
 """The family of the authors' robot."""

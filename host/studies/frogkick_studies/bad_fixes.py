@@ -27,8 +27,7 @@ from frogkick.estimator.estimator import (
 from frogkick.front.places import start_pose
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import Robot
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import along_path

@@ -29,7 +29,7 @@ from frogkick.paths import SHAPES, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick.pool.chip.cost import LEAST_COST, CostModel
-from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, TimedStates, states_for_timing
+from frogkick.runs.chip_check import CYCLES_PER_MS, ChipPlanner, TimedStates, states_for_timing
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import require_tools
 from frogkick_codegen.native import BlockCounter

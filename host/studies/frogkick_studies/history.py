@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from frogkick.core.progress import shown
 from frogkick.effects import rods_of
 from frogkick.library import Library, error_on, fit_table, sample_library
-from frogkick.library.starts import rigid_starts
+from frogkick.library.sampling import rigid_starts
 from frogkick.library.store import library_of
 from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.report import style

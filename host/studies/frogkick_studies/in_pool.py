@@ -27,9 +27,8 @@ from frogkick.library.fitting import BUDGET_BYTES
 from frogkick.paths import SHAPES, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.pool import Pool
+from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import run_in_pool
 from frogkick.runs.record import RunOptions

@@ -31,7 +31,7 @@ from frogkick.library.fitting import looked_up
 from frogkick.library.transitions import previous_actions
 from frogkick.paths import Path, shape
 from frogkick.planner.plan import PlanConfig, config_of, plan
-from frogkick.pool.camera import Camera, measure
+from frogkick.pool.pool import Camera, measure
 from frogkick.robot import Robot
 from frogkick.tables.image import Tables, open_image
 from frogkick_studies.configs import Ceiling

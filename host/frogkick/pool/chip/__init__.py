@@ -1,6 +1,6 @@
 """A virtual nRF52832: runs the bench firmware's ELF, counts cycles, knows the peripherals that it uses."""
 
-from frogkick.core.extras import require
+from frogkick.core.errors import require
 
 # Every import of this package runs this line, so a missing package gives one line and no traceback.
 require("the virtual chip", "unicorn", "capstone", "elftools", "ziglang")

@@ -41,8 +41,7 @@ from frogkick.pool.chip.emulator import (
 from frogkick.pool.chip.flash import Flash, Nvmc
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.pins import Gpio, Gpiote, Ppi, Saadc
-from frogkick.pool.chip.power import DOG, Clock, Ficr, Power, Rng, Watchdog
-from frogkick.pool.chip.timer import Timer
+from frogkick.pool.chip.power import DOG, Clock, Ficr, Power, Rng, Timer, Watchdog
 from frogkick.pool.chip.uarte import Uarte
 
 _NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address

@@ -23,7 +23,7 @@ import unicorn as unicorn_module
 from unicorn import arm_const
 from unicorn.unicorn_py3.unicorn import uclib
 
-from frogkick.core.extras import install_command
+from frogkick.core.errors import install_command
 from frogkick.core.files import cache_folder
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, ChipError
 

@@ -15,8 +15,8 @@ from frogkick.core.files import require_writable, write_text
 from frogkick.der import prepare
 from frogkick.effects import effects_of
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
+from frogkick.robot.load import new_robot_text
 from frogkick.robot.profile import MeasuredStroke, Profile, fit_stroke, read_stroke, write_profiles
-from frogkick.robot.toml_text import new_robot_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -126,7 +126,7 @@ def test_workers_and_cluster_exclude_each_other(tmp_path: Path, capsys: pytest.C
 
 def test_distributed_is_loaded_only_when_asked_for() -> None:
     script = (
-        "import sys, frogkick.cli.make, frogkick.cli.research, frogkick.cli.study\n"
+        "import sys, frogkick.cli.make, frogkick.cli.research\n"
         "sys.exit(1 if {'distributed', 'dask'} & set(sys.modules) else 0)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

@@ -121,7 +121,7 @@ def test_no_command_loads_what_it_does_before_it_is_asked_to() -> None:
     files = {place.partition(":")[0] for place in places if isinstance(place, str)}
     modules = ", ".join(sorted(f"frogkick.cli.{file}" for file in files))
     later = "{'numpy', 'numba', 'scipy', 'h5py', 'matplotlib', 'cv2', 'frogkick_codegen'}"
-    configured = f"[frogkick.cli.study.command(name) for name in {list(STUDY_COMMANDS)}]"
+    configured = f"[frogkick.cli.research.command(name) for name in {list(STUDY_COMMANDS)}]"
     script = f"import sys, {modules}\n{configured}\nassert not {later} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
 

@@ -1,7 +1,7 @@
 """The configuration of each study. Its fields are the command's options, its docstring the command's help.
 
 This module loads nothing that computes, so that help is printed at once. An option that several commands
-share has no help here: the runner (``frogkick/cli/study.py``) takes it from its name and type.
+share has no help here: the runner (``frogkick/cli/research.py``) takes it from its name and type.
 """
 
 from __future__ import annotations

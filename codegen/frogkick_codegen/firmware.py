@@ -20,7 +20,7 @@ from typing import Any
 from frogkick.core.errors import InputError, require
 from frogkick.core.files import atomic_path, cache_folder, one_at_a_time, write_bytes
 from frogkick.core.weights import WEIGHTS
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import PlanConfig, look_up_most_ns, transitions_in
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen import declared
@@ -201,6 +201,12 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         raise InputError(f"firmware target is {target!r}: choose from {', '.join(TARGETS)}")
     tables = read_image(image)
     tables.require_robot(robot.id)
+    if transitions_in(tables) < len(tables.actions):
+        raise InputError(
+            f"the table has {len(tables.states)} states: a look-up may take the chip "
+            f"{look_up_most_ns(tables) * 1e-6:.0f} ms, and a decision longer than its watchdog waits: "
+            "build a table of fewer states"
+        )
     if compiler is None:
         require_tools(target)
     command = f"frogkick firmware build --target {target} --tables {image.name}"

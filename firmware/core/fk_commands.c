@@ -268,15 +268,13 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
     } else if (robot->path.count == 0u) {
         reply.status = FK_STATUS_NO_PATH;
     } else {
-        fk_plan_config_t config = robot->plan;
         fk_state_t state = {command.x_m,    command.y_m,    command.heading_rad,
                             command.vx_mps, command.vy_mps, command.omega_rad_s,
                             {command.limb_use_0, command.limb_use_1, command.limb_use_2, command.limb_use_3,
                              command.limb_use_4, command.limb_use_5, command.limb_use_6, command.limb_use_7},
                             command.along_points};
         fk_plan_t plan;
-        config.depth = command.depth;
-        reply.status = (int8_t)fk_plan(&robot->tables, &robot->path, &config, &state, &plan);
+        reply.status = (int8_t)fk_robot_plan(robot, command.depth, &state, &plan);
         if (reply.status == FK_STATUS_OK) {
             reply.action = plan.action;
             reply.nearest_state = plan.nearest_state;

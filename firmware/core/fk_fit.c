@@ -11,6 +11,15 @@ uint64_t fk_fit_stroke_us(const fk_tables_t *tables)
     return second_us + FK_STROKE_GAP_US + pulse_us + FK_STROKE_GAP_US;
 }
 
+/* Widest: 2^13 leaves and 65535 states are 71.8 ms, 28 times that 2.01e9 ns, and 950000 us are 9.5e8 ns. */
+uint32_t fk_fit_transitions(const fk_tables_t *tables)
+{
+    const uint32_t look_up_ns = (FK_LEAF_MOST_NS << tables->tree_levels) + FK_STATE_MOST_NS * tables->states;
+    const uint32_t beside_us = look_up_ns * FK_LOOK_UPS_BESIDE / 1000u;
+    const uint32_t left_us = (beside_us < FK_SEARCH_MOST_US) ? FK_SEARCH_MOST_US - beside_us : 0u;
+    return left_us * 1000u / (FK_TRANSITION_MOST_NS + look_up_ns / tables->actions);
+}
+
 int32_t fk_fit_open(const uint8_t *image, uint32_t image_bytes, fk_tables_t *tables)
 {
     int32_t error = fk_tables_open(image, image_bytes, tables);
@@ -23,5 +32,5 @@ int32_t fk_fit_open(const uint8_t *image, uint32_t image_bytes, fk_tables_t *tab
     if (tables->pulse_us > FK_PULSE_MAX_US || fk_fit_stroke_us(tables) > tables->period_us) {
         return FK_ERROR_IMAGE_TIMES;
     }
-    return FK_OK;
+    return (fk_fit_transitions(tables) < tables->actions) ? FK_ERROR_IMAGE_COUNT : FK_OK;
 }

@@ -8,15 +8,33 @@
 
 #define FK_STROKE_GAP_US 1000u /* from a pulse's end until the port's one pulse timer is free for the next */
 
+/* What any search on the chip ends within, whatever the table: before the watchdog's second, as its oscillator may count
+ * it, and with time for all else that a turn of the port's loop does. */
+#define FK_SEARCH_MOST_US 950000u
+/* A transition, as GCC's image computes it. */
+#define FK_TRANSITION_MOST_NS 33000u
+/* A look-up that visits every leaf and every state of the search tree, as it may where they are all alike, or lie on a
+ * sphere around what is looked up: for each leaf, and for each state. tests/firmware/test_search_time.py */
+#define FK_LEAF_MOST_NS 3400u
+#define FK_STATE_MOST_NS 670u
+/* Look-ups beside those that a search's transitions pay for: of the estimator for a fix and a decision in one turn, at
+ * most 24, and of nodes that the search opens and has not finished when it is ended, at most 4. */
+#define FK_LOOK_UPS_BESIDE 28u
+
 /* Open an image, every byte of it checked, and check that it is for this robot and within the guard's limits.
  * @retval 0         tables filled
  * @retval negative  fk_error_t of fk_tables_open, FK_ERROR_ROBOT where the image is for another robot,
  *                   FK_ERROR_IMAGE_TIMES where its pulse is above the guard's limit, or a whole stroke longer than
- *                   the period
+ *                   the period; FK_ERROR_IMAGE_COUNT where its states are so many that the first level of a search may
+ *                   not end before the watchdog resets the chip
  */
 int32_t fk_fit_open(const uint8_t *image, uint32_t image_bytes, fk_tables_t *tables);
 
 /* From the first pulse's start until the pulse timer is free after the second. */
 uint64_t fk_fit_stroke_us(const fk_tables_t *tables);
+
+/* Transitions after which any search in this table has ended within FK_SEARCH_MOST_US. Of a node that a search opens
+ * all actions are evaluated, so each transition pays for its share of one look-up. */
+uint32_t fk_fit_transitions(const fk_tables_t *tables);
 
 #endif

@@ -127,6 +127,15 @@ uint32_t fk_robot_transitions_within(uint32_t plan_us)
     return (transitions > 0u) ? transitions : 1u;
 }
 
+int32_t fk_robot_plan(const fk_robot_t *robot, uint8_t depth, const fk_state_t *state, fk_plan_t *plan)
+{
+    const uint32_t most = fk_fit_transitions(&robot->tables);
+    fk_plan_config_t config = robot->plan;
+    config.depth = depth;
+    config.transitions_max = (config.transitions_max == 0u || config.transitions_max > most) ? most : config.transitions_max;
+    return fk_plan(&robot->tables, &robot->path, &config, state, plan);
+}
+
 /* The estimator took a fix, which may end the run; not while a new path waits, which the next decision will
  * follow. */
 void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m)
@@ -169,7 +178,7 @@ static void decide(fk_robot_t *robot)
             plan.along_points = robot->follow.along_points;
         }
         estimate.state.along_points = robot->follow.along_points;
-        status = fk_plan(&robot->tables, &robot->path, &robot->plan, &estimate.state, &plan);
+        status = fk_robot_plan(robot, robot->plan.depth, &estimate.state, &plan);
     }
     if (status == FK_STATUS_OK) {
         end = fk_follow_decided(&robot->follow, &robot->tables, &robot->path, &robot->plan, &plan,

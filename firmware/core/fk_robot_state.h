@@ -24,10 +24,9 @@
 #define FK_TRANSITIONS_LIMIT 10000000u
 #define FK_PLAN_FIXED_US 600u        /* part of a decision's time that does not depend on transitions; measured by: study chip */
 /* The longest time of one more transition on the chip when zig's clang builds the image, measured likewise with tables
- * that frogkick makes. With thousands of states that are all alike each look-up visits them all, and a long search may end
- * in the watchdog's reset. In an image of GCC it is up to a quarter longer (tests/extra/test_arm_gcc.py): a plan of limited
+ * that frogkick makes. In an image of GCC it is up to a quarter longer (tests/extra/test_arm_gcc.py): a plan of limited
  * time takes that much longer there, and the longest still ends before the watchdog resets the chip. All builds use one
- * number, so that all decide alike. */
+ * number, so that all decide alike. fk_fit_transitions() has what holds for any table. */
 #define FK_TRANSITION_NS 26000u
 
 struct fk_robot {
@@ -136,6 +135,7 @@ void fk_robot_send_events(fk_robot_t *robot);
 void fk_robot_use_tables(fk_robot_t *robot);
 void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m);
 uint32_t fk_robot_transitions_within(uint32_t plan_us);
+int32_t fk_robot_plan(const fk_robot_t *robot, uint8_t depth, const fk_state_t *state, fk_plan_t *plan);
 
 /* fk_table_commands.c */
 int32_t fk_robot_is_at_rest(const fk_robot_t *robot, uint64_t now_us);

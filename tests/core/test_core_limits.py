@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.core.core import library, mutated, source_files
+from tests.core.core import Robot, library, mutated, source_files
+from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
+from frogkick.link.layout import link_layout
+from frogkick.planner.plan import PlanConfig, on_robot, transitions_in
 from frogkick.robot import load_robot
+from frogkick.runs.decision import LIMB_USE_FIELDS, STATE_FIELDS
+from frogkick.tables.image import open_image
 from frogkick_codegen.firmware import robot_config
 from frogkick_codegen.toolchain import ToolchainError
 
@@ -78,3 +83,25 @@ def test_the_compiler_refuses_a_header_beyond_the_ceilings(old: str, new: str) -
     assert old in source_files()["fk_robot_config.h"].decode()
     with pytest.raises(ToolchainError, match="limit_is_a_limit"):
         library(mutated("fk_robot_config.h", old, new))
+
+
+def test_a_search_in_a_table_whose_states_are_all_alike_ends_early() -> None:
+    """By as many transitions as on the host; a table whose first level takes too long is refused."""
+    for states, levels in ((1200, 7), (4096, 12), (24_000, 12)):
+        image = synthetic.alike(states, levels)
+        robot = Robot(image).begin("DISARMED")
+        robot.path()
+        for name in ("ANGLE_WEIGHT_PER_RAD", "PROGRESS_WEIGHT", "LEVEL_WEIGHT", "COST", "TRANSITIONS_MAX"):
+            assert robot.status("PARAM", {"parameter": link_layout().parameter[name], "value": 0.0}) == "OK"
+        state = dict.fromkeys(STATE_FIELDS, 0.0) | {"x_m": 0.2, "y_m": 0.3}
+        answer = robot.ask(
+            "PLAN", {"depth": 4, **state, **dict.fromkeys(LIMB_USE_FIELDS, 0), "along_points": 0.0}
+        )
+        most = transitions_in(open_image(image))
+        assert answer["status"] == 0 and answer["transitions"] == min(9 + 81 + 729 + 6561, most)
+        assert on_robot(PlanConfig(transitions_max=0), open_image(image)).transitions_max == most
+    image_count = -26
+    for states in (32_000, 60_000):
+        image = synthetic.alike(states, 13)
+        assert transitions_in(open_image(image)) < 9
+        assert Robot(image).error == image_count

@@ -13,12 +13,11 @@ from tests.extra.tools import chip_compiler, emitted_firmware
 from tests.planner import synthetic
 
 from frogkick.paths import shape
-from frogkick.planner.plan import config_of, transitions_within
+from frogkick.planner.plan import PLAN_TIME_WATCHDOG_US, config_of, transitions_within
 from frogkick.pool.chip.image import load_image, unwanted
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.robot import load_robot
 from frogkick.runs.chip_check import ChipPlanner, check_on_chip, states_for_timing
-from frogkick.runs.chip_twin import PLAN_TIME_WATCHDOG_US
 from frogkick.tables.image import open_image
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.firmware import image_sizes

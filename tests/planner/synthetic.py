@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
+from frogkick.tables import layout
 from frogkick.tables.image import Tables, open_image
 from frogkick.tables.packing import pack_affine, pack_nearest
 from frogkick.tables.sealing import Metadata
@@ -73,6 +75,25 @@ def pack(velocity: npt.ArrayLike, motion: npt.ArrayLike, end: npt.ArrayLike, **c
 def image(states: int = 300, actions: int = 9, seed: int = 1) -> bytes:
     """Return the image of a made-up table."""
     return pack(*transitions(states, actions, seed))
+
+
+def alike(states: int, levels: int, closer: bool = False, **changes: object) -> bytes:
+    """Return the image of a table whose nine actions all do the same in all states.
+
+    Args:
+        states: how many, all of one velocity: a look-up visits each of them.
+        levels: of the search tree; a packer makes fewer.
+        closer: they lie on a line instead, each further forward than the one before it; ``levels`` is 0.
+        changes: as of ``pack``.
+    """
+    velocities = np.zeros((states, 3))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(layout, "tree_levels_for", lambda _states: levels)
+        if closer:
+            velocities[:, 0] = np.linspace(-0.06, 0.06, states)
+            patch.setattr(layout, "kd_order", lambda codes, _levels: (np.arange(len(codes)), ()))
+        motion = np.full((states, 9, 3), 1e-4)
+        return pack(velocities, motion, np.zeros_like(motion), **changes)
 
 
 def affine_parts(states: int, actions: int, seed: int) -> dict[str, npt.NDArray[np.float64]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,7 +24,12 @@ from frogkick.tables.layout import LIMBS_MAX
 
 PLAN_FIXED_US = 600
 TRANSITION_NS = 26000
-"""Time of a decision on the chip: a fixed part, and at most so much for each transition (fk_robot.h)."""
+"""Time of a decision on the chip: a fixed part, and at most so much for each transition (fk_robot.c)."""
+PLAN_TIME_WATCHDOG_US = 600_000
+"""Limit of the search time in the firmware (fk_robot_state.h)."""
+_SEARCH_MOST_US, _TRANSITION_MOST_NS, _LEAF_MOST_NS, _STATE_MOST_NS = 950_000, 33_000, 3_400, 670
+_LOOK_UPS_BESIDE = 28
+"""What holds on the chip whatever the table: see fk_fit.h."""
 
 STATUS_TEXT = {
     kernel.ERROR_NOT_FINITE: "the state holds NaN or infinity: check the position fixes",
@@ -121,6 +126,25 @@ def transitions_within(plan_us: int) -> int:
     if plan_us == 0:
         return 0
     return max(1, max(0, plan_us - PLAN_FIXED_US) * 1000 // TRANSITION_NS)
+
+
+def look_up_most_ns(tables: Tables) -> int:
+    """The longest time of a look-up on the chip: where it visits every leaf and state of the search tree."""
+    return (_LEAF_MOST_NS << tables.tree_levels) + _STATE_MOST_NS * len(tables.states)
+
+
+def transitions_in(tables: Tables) -> int:
+    """Transitions after which any search in a table has ended on the robot before its watchdog resets it: the
+    twin of fk_fit_transitions(). Below the number of actions the robot refuses the table."""
+    look_up_ns = look_up_most_ns(tables)
+    left_us = max(0, _SEARCH_MOST_US - look_up_ns * _LOOK_UPS_BESIDE // 1000)
+    return left_us * 1000 // (_TRANSITION_MOST_NS + look_up_ns // len(tables.actions))
+
+
+def on_robot(config: PlanConfig, tables: Tables) -> PlanConfig:
+    """The configuration with the limit of transitions that a robot with this table decides by."""
+    most = max(1, min(transitions_within(PLAN_TIME_WATCHDOG_US), transitions_in(tables)))
+    return replace(config, transitions_max=min(config.transitions_max or most, most))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.link.frames import PATH_POINTS_MAX
 from frogkick.link.layout import link_layout, supervisor
 from frogkick.link.log import Record
-from frogkick.planner.plan import PlanConfig, transitions_within
+from frogkick.planner.plan import PLAN_TIME_WATCHDOG_US, PlanConfig, transitions_within
 from frogkick.runs.decision import RESTING, Decision, DecisionTwin, decision_of_event
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
@@ -31,8 +31,6 @@ from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
 _LAYOUT = link_layout()
 _STATUS = _LAYOUT.status
 _ENDS = {End.COMPLETED: "OK", End.PASSED: "PASSED", End.STALLED: "STALLED"}
-PLAN_TIME_WATCHDOG_US = 600_000
-"""Limit of the search time in the firmware (fk_robot.h)."""
 
 
 class SnapshotError(FrogkickError):

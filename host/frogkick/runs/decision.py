@@ -17,7 +17,7 @@ from frogkick.estimator.wear import WearFilter
 from frogkick.link.frames import Frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
-from frogkick.planner.plan import PathLike, PlanConfig, PlanError, plan
+from frogkick.planner.plan import PathLike, PlanConfig, PlanError, on_robot, plan
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
@@ -244,7 +244,8 @@ class DecisionTwin:
         )
         along = float(follow.along_points)
         try:
-            made = plan(tables, follow.path, self._config, state, estimate.limb_use, along)
+            config = on_robot(self._config, tables)
+            made = plan(tables, follow.path, config, state, estimate.limb_use, along)
         except PlanError as error:
             return replace(resting, status=error.status)
         planned = {

@@ -19,7 +19,7 @@ from frogkick.tables.checks import AGAIN, ActionRow, Columns, TableError, requir
 
 __all__ = ["ActionRow", "TableError", "Tables", "open_image", "read_image"]
 
-_SAME = ("provenance", "period_us", "pulse_us", "second_delay_us", "limbs", "block_levels")
+_SAME = ("provenance", "period_us", "pulse_us", "second_delay_us", "limbs", "tree_levels", "block_levels")
 """Fields that are called so in the header."""
 
 
@@ -54,6 +54,7 @@ class Tables:
     # (l, 0, 6) in an image without wear curves
     limb_wear: Int32
     sections: layout.Sections
+    tree_levels: int  # of the search tree over the states
     block_levels: int  # 2**block_levels blocks of rows with separate predictions (kind nearest)
     # (l,) share of its contribution that each limb has lost, 0 to 32767: no part of the image, and 0 until
     # ``worn`` says otherwise

@@ -1,0 +1,92 @@
+"""The longest searches: in tables whose states are all alike, where each look-up visits every one of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.conftest import from_ci
+from tests.planner import synthetic
+
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_bytes
+from frogkick.link.layout import link_layout
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig, look_up_most_ns, on_robot, plan, transitions_in
+from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick.robot import load_robot
+from frogkick.runs.chip_check import ChipPlanner
+from frogkick.runs.session import Session
+from frogkick.tables.image import open_image
+from frogkick_codegen import firmware
+
+ROBOT = load_robot("frog2022")
+ACTIONS = [(row.name, row.first_mask, row.second_mask) for row in ROBOT.actions]
+CYCLES_PER_US = 64
+
+
+def alike(states: int, levels: int, closer: bool = False) -> bytes:
+    """Such a table with the robot's actions."""
+    return synthetic.alike(states, levels, closer, action_rows=ACTIONS)
+
+
+def bench(folder: Path, image: bytes) -> Path:
+    write_bytes(folder / "t.fkt", image)
+    return firmware.build("bench", folder / "t.fkt", ROBOT, folder / "out").image
+
+
+@from_ci
+@pytest.mark.parametrize(
+    ("states", "levels", "closer"), [(2048, 8, False), (2047, 10, False), (2048, 11, False), (2048, 0, True)]
+)
+def test_no_look_up_takes_longer_than_the_limit_allows_for(
+    states: int, levels: int, closer: bool, tmp_path: Path
+) -> None:
+    """Equal states; leaves of two, which cut pairs in half; of one; states each nearer than the last."""
+    image = alike(states, levels, closer)
+    core = ChipPlanner(bench(tmp_path, image))
+    core.chip.ram_write(core._free, np.array([16383 if closer else 0, 0, 0], "<i4").tobytes())
+    row, cycles = core.chip.call("fk_nearest", core._tables, core._free)
+    assert row == (states - 1 if closer else 0)
+    most_us = 1e-3 * look_up_most_ns(open_image(image))
+    assert 0.7 * most_us < cycles / CYCLES_PER_US < most_us
+
+
+@from_ci
+def test_the_longest_search_ends_before_the_watchdog(tmp_path: Path) -> None:
+    """Four levels of a cost that prunes nothing, without a limit of time: it would take 10 s."""
+    image = alike(4096, 12)
+    port = VirtualRobot(bench(tmp_path, image), len(ROBOT.limbs))
+    session, path = Session(port), shape("line")
+    session.handshake(open_image(image))
+    session.send_path(path)
+    weights = {"ANGLE_WEIGHT_PER_RAD": 0.0, "PROGRESS_WEIGHT": 0.0, "LEVEL_WEIGHT": 0.0}
+    session.set_parameters({**weights, "COST": 0, "TRANSITIONS_MAX": 0})
+    state = {"x_m": 0.2, "y_m": 0.3, "heading_rad": 0.0, "vx_mps": 0.0, "vy_mps": 0.0, "omega_rad_s": 0.0}
+    rested = {f"limb_use_{limb}": 0 for limb in range(8)}
+    session.post("PLAN", {"depth": 4, **state, **rested, "along_points": 0.0})
+    asked_s = session.time_s
+    while not (answers := session.take("PLAN")) and not port.chip.resets:
+        session.step(session.time_s + 0.01)
+    assert port.chip.resets == []
+    assert session.time_s - asked_s < 0.9
+    assert session.request("STATUS")["reset"] == link_layout().reset["POWER"]
+    # And it decides what the host does.
+    config = PlanConfig(angle_weight_per_rad=0.0, progress_weight=0.0, level_weight=0.0, depth=4)
+    tables = open_image(image)
+    made = plan(tables, path, on_robot(config, tables), np.array(list(state.values()), np.float32))
+    (answer,) = [arrival.frame.values for arrival in answers]
+    names = ("action", "depth_reached", "transitions")
+    assert [answer[name] for name in names] == [getattr(made, name) for name in names]
+    assert made.transitions < 300
+
+
+def test_a_table_of_too_many_states_is_refused(tmp_path: Path) -> None:
+    """Where not even the first level of a search ends in time."""
+    many = alike(24_000, 12)
+    assert transitions_in(open_image(many)) > len(ACTIONS)
+    more = alike(32_000, 12)
+    assert transitions_in(open_image(more)) < len(ACTIONS)
+    with pytest.raises(InputError, match=r"^the table has 32000 states: a look-up may take the chip 35 ms"):
+        bench(tmp_path, more)

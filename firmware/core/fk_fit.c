@@ -11,7 +11,7 @@ uint64_t fk_fit_stroke_us(const fk_tables_t *tables)
     return second_us + FK_STROKE_GAP_US + pulse_us + FK_STROKE_GAP_US;
 }
 
-/* Widest: 2^13 leaves and 65535 states are 71.8 ms, 28 times that 2.01e9 ns, and 950000 us are 9.5e8 ns. */
+/* Widest: 2^13 leaves and 65535 states are 71.8 ms, 28 times that 2.01e9 ns, and 925000 us are 9.25e8 ns. */
 uint32_t fk_fit_transitions(const fk_tables_t *tables)
 {
     const uint32_t look_up_ns = (FK_LEAF_MOST_NS << tables->tree_levels) + FK_STATE_MOST_NS * tables->states;

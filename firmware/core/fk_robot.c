@@ -132,7 +132,7 @@ int32_t fk_robot_plan(const fk_robot_t *robot, uint8_t depth, const fk_state_t *
     const uint32_t most = fk_fit_transitions(&robot->tables);
     fk_plan_config_t config = robot->plan;
     config.depth = depth;
-    config.transitions_max = (config.transitions_max == 0u || config.transitions_max > most) ? most : config.transitions_max;
+    config.transitions_max = (config.transitions_max > most) ? most : config.transitions_max; /* it is never 0: no limit */
     return fk_plan(&robot->tables, &robot->path, &config, state, plan);
 }
 

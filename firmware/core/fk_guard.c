@@ -58,16 +58,21 @@ void fk_guard_seal(fk_guard_t *guard)
     seal_loop(guard);
 }
 
-/* The history of a limb that was on for on_us in all just before time 0. It is entered as pulses that all begin at
- * time 0, none longer than FK_PULSE_MAX_US: each then leaves the duty window later than the heat that it stands
- * for. One entry stays unused, as no more than the others can overlap one window. */
+/* So long is each pulse of a history that is filled, the last one shorter: as long as a pulse can be, or longer where
+ * firmware with longer pulses has kept the heat, so that all of FK_DUTY_ON_MAX_US has room. */
+#define FILL_EVEN_US (FK_DUTY_ON_MAX_US / (FK_GUARD_HISTORY - 1u) + 1u)
+#define FILL_US (FILL_EVEN_US > FK_PULSE_MAX_US ? FILL_EVEN_US : FK_PULSE_MAX_US)
+
+/* The history of a limb that was on for on_us in all just before time 0, which is entered as pulses that all begin at
+ * time 0: each leaves the duty window later than the heat that it stands for. One entry stays unused, as no more than
+ * the others can overlap one window. More than FK_DUTY_ON_MAX_US counts as that, which allows no pulse. */
 static void fill_limb(fk_guard_t *guard, uint32_t at, uint32_t on_us)
 {
     fk_guard_limb_t *limb = &guard->limbs[at];
     limb->next = 0u;
+    on_us = (on_us > FK_DUTY_ON_MAX_US) ? FK_DUTY_ON_MAX_US : on_us;
     for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
-        uint32_t part_us = (on_us > FK_PULSE_MAX_US) ? FK_PULSE_MAX_US : on_us;
-        part_us = (i + 1u < FK_GUARD_HISTORY) ? part_us : 0u;
+        const uint32_t part_us = (on_us > FILL_US) ? FILL_US : on_us;
         limb->start_us[i] = 0u;
         limb->on_us[i] = part_us;
         limb->next = (uint16_t)(limb->next + ((part_us > 0u) ? 1u : 0u));

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from tests.conftest import some
-from tests.core.core import FFI, LATE_US, Robot, cases, core, kept_of
+from tests.core.core import FFI, LATE_US, Robot, cases, core, kept_of, library, mutated
 from tests.core.log_rig import Log
 from tests.core.test_core_guard import PULSE_MAX_US, REST_US, WINDOW_US, Guard
 from tests.core.test_core_supervisor import LATE, state_and_fault
@@ -182,3 +182,14 @@ def test_a_reset_before_limbs_of_unknown_heat_have_rested_begins_their_rest_agai
     third = Robot(now_us=0, heat_known=False)
     core().fk_robot_note_reset(third.memory, RESET["WATCHDOG"], lost)
     assert third.ask("STATUS")["rest_us"] == 0, "kept from the first pulse on"
+
+
+def test_heat_that_firmware_with_longer_pulses_has_kept_is_all_counted() -> None:
+    """It was flashed anew, for pulses of 10 ms: of 400 ms of heat its history held 110."""
+    short = library(mutated("fk_robot_config.h", "FK_PULSE_MAX_US 100000u", "FK_PULSE_MAX_US 10000u"))
+    guard = Guard(short, kept_of([400_000, 389_999]))
+    for at_us in range(REST_US, WINDOW_US, REST_US):
+        assert not guard.allow(0b01, 10_000, at_us)
+    assert Guard(short, kept_of([400_000, 390_000])).allow(0b10, 10_000, REST_US)
+    assert not Guard(short, kept_of([400_000, 390_001])).allow(0b10, 10_000, REST_US)
+    assert Guard(short, kept_of([0xFFFFFFFF])).allow(0b01, 10_000, 2 * WINDOW_US)

@@ -311,6 +311,19 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
 
 
 @from_ci
+def test_a_clock_that_drifts_is_found_beside_a_latency_that_stands_for_both() -> None:
+    """A constant delay is fitted to both at once; the frame rings, and from there derivatives show no drift."""
+    both = [{"name": "clock_drift", "drift": 0.006}, {"name": "fix_latency", "delay_s": 0.09}]
+    swims = [make_swim(both, seed, 16) for seed in (1, 2)]
+    rivals = [term(name) for name in ("limb_wear all", "fix_latency", "clock_drift", "limb_wear front_left")]
+    found = search(*nominal_fit(swims, robot()), rivals)
+    values = {each.title: each.values[0] for each in found.fitted.model.terms}
+    assert set(values) == {"clock_drift", "fix_latency"}
+    assert values["clock_drift"] == pytest.approx(0.006, abs=6e-4)
+    assert values["fix_latency"] == pytest.approx(0.09, abs=0.01)
+
+
+@from_ci
 def test_limbs_that_are_late_and_weak_are_no_late_fixes() -> None:
     weak = {"name": "limb_wear", "limb": "all", "gain": 0.8, "delay_s": 0.06}
     swims = [make_swim([weak], seed, 14) for seed in (1, 2)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.progress import TellStage, silent
-from frogkick.identification.backward import equally_good, resolve_equivalent, revise
+from frogkick.identification.backward import EQUIVALENT, equally_good, resolve_equivalent, revise
 from frogkick.identification.batching import all_of
 from frogkick.identification.bootstrap import gain_by_chance
 from frogkick.identification.filter import Noise
@@ -74,6 +74,15 @@ HELD_OUT_GAIN_MIN = 1.0
 REFINING_STEPS_MAX, REFINING_CONVERGED = 5, 4.0
 """Steps of the fits of the best candidates at most, and the fall of the deviance that ends them: after two
 steps a rival that fits as well may seem much worse."""
+
+SHIFTS = {
+    "clock_drift": ({"drift": -0.006}, {"drift": -0.002}, {"drift": 0.002}, {"drift": 0.006}),
+    "fix_latency": ({"delay_s": 0.04}, {"delay_s": 0.1}, {"delay_s": 0.18}),
+}
+"""Effects that shift the times of all fixes, and where a fit of each begins beside another such shift.
+
+One of them alone is fitted to a mixture of both, and there derivatives do not show the other: the frame rings,
+so a delay has local minima."""
 
 COMPARED = 2.0
 """The fall of the deviance that ends fits which are compared by CONFOUNDED_MARGIN, and refined later."""
@@ -182,6 +191,13 @@ def _left(nominal: Fitted, fitted: Fitted) -> float:
     return float(min(np.hypot(*after[:2]) / np.hypot(*before[:2]), after[2] / before[2]))
 
 
+def _misfits(fitted: Fitted) -> bool:
+    """Whether the process noise of a model says that it lacks something."""
+    noise = fitted.model.noise
+    pairs = zip((*noise.idle, *noise.actuated), 2 * NOISE_OF_MISFIT, strict=True)
+    return any(own >= misfit for own, misfit in pairs)
+
+
 @dataclass(frozen=True, eq=False)
 class _ForwardSelection:
     data: Data
@@ -216,6 +232,9 @@ class _ForwardSelection:
             starts.append(replace(current.model, terms=terms, leg_s=REFINING_LEG_S, fixed=fixed))
         steps, small = REFINING_STEPS_MAX, REFINING_CONVERGED
         fits = fit_many(starts, self.data, steps, current.jacobian, small) if starts else []
+        shift = self.shifted(current, candidates)
+        if shift is not None:
+            picked, fits = [*picked, shift[0]], [*fits, shift[1]]
         judge = partial(self.judged, current, least)
         judged = all_of([partial(judge, *pair) for pair in zip(picked, fits, strict=True)])
         tried = [tried for _, _, tried in judged]
@@ -234,6 +253,25 @@ class _ForwardSelection:
             fitted for score, fitted in scored[1:] if score > best - max(REFIT_MARGIN, RIVAL_SHARE * best)
         ]
         return scored[0][1], tried, rivals, fits
+
+    def shifted(self, current: Fitted, candidates: Sequence[Screened]) -> tuple[Screened, Fitted] | None:
+        """The other shift of the fixes' times beside the one that the model has, fitted; see SHIFTS."""
+        taken = {term.title for term in current.model.terms}
+        late, drifts = not taken.isdisjoint(EQUIVALENT), "clock_drift" in taken
+        if late == drifts or not _misfits(current):
+            return None
+        wanted = "fix_latency" if drifts else "clock_drift"
+        other = next((each for each in candidates if each.column.term.title == wanted), None)
+        if other is None:
+            return None
+        term = other.column.term
+        places = [term.at([start[p.name] for p in term.parameters]) for start in SHIFTS[wanted]]
+        starts = [
+            replace(current.model, terms=(*current.model.terms, place), leg_s=REFINING_LEG_S)
+            for place in places
+        ]
+        best = min(fit_many(starts, self.data, STEPS_MAX, tolerance=COMPARED), key=lambda each: each.deviance)
+        return replace(other, fixed=frozenset()), best
 
     def judged(
         self, current: Fitted, least: float, candidate: Screened, fitted: Fitted
@@ -284,10 +322,7 @@ class _ForwardSelection:
 
         The first law was placed while the others were missing, and a fit does not leave a local minimum.
         """
-        noise = zip(
-            (*current.model.noise.idle, *current.model.noise.actuated), 2 * NOISE_OF_MISFIT, strict=True
-        )
-        if self.laws is None or all(own < misfit for own, misfit in noise):
+        if self.laws is None or not _misfits(current):
             return current
         last, resting = len(current.model.terms) - 1, -1
         for turn in range(2 * MOST):

@@ -11,7 +11,7 @@ from made import make_swim, robot
 from tests.conftest import LEVEL, count, from_ci, some
 
 from frogkick.effects import Fix
-from frogkick.identification.jumps import jumped, jumps_of, without_jumps
+from frogkick.identification.jumps import jumped, jumps_of, turned, turns_of, without_jumps
 from frogkick.identification.misfires import fitted_mixture, misfires_of, without_failed
 from frogkick.identification.outcome import identify
 from frogkick.identification.responses import responses_of
@@ -138,6 +138,40 @@ def test_fixes_that_jump_are_told_by_their_neighbours() -> None:
     far = [np.hypot(fix.x_m, fix.y_m) for fix in moved if fix is not None]
     assert np.mean(np.array(far) > 1e-3) == pytest.approx(found.chance.value, abs=0.02)
     assert max(far) == pytest.approx(found.size.value)
+
+
+@pytest.mark.parametrize(("length", "turn_rad"), [(1, 0.1), (3, 0.1), (1, 1.57), (1, 3.1)])
+def test_headings_that_jump_are_told_by_their_neighbours(length: int, turn_rad: float) -> None:
+    """One fix, a burst of them, or a tag that is taken for one turned by a quarter or by half."""
+    swims, planted = [], []
+    for seed in (1, 2):
+        rng, swim = np.random.default_rng(seed), make_swim([], seed, 12)
+        off = np.zeros(len(swim.time_s), dtype=bool)
+        for first in np.flatnonzero(rng.random(len(off) - 20) < 0.04 / length) + 10:
+            if not off[first - 4 : first].any():
+                off[first : first + length] = True
+        pose = swim.pose.copy()
+        pose[off, 2] += turn_rad
+        pose[:, 2] = np.unwrap(pose[:, 2])
+        swims.append(replace(swim, pose=pose))
+        (kept,) = without_jumps(swims[-1:], of_heading=True)
+        left = np.isin(swim.time_s, kept.time_s)
+        assert np.abs(kept.pose[:, 2] - swim.pose[left, 2]).max() < 0.12
+        planted.append(off)
+        assert turns_of([swim]) is None and not len(turned(swim)[0])
+    found = turns_of(swims)
+    assert found is not None and found.size.value == pytest.approx(turn_rad, rel=0.1)
+    right = sum(int(off[turned(swim)[0]].sum()) for off, swim in zip(planted, swims, strict=True))
+    reported = sum(len(turned(swim)[0]) for swim in swims)
+    assert reported == right >= 0.7 * sum(int(off.sum()) for off in planted)
+    assert sum(len(swim.time_s) for swim in without_jumps(swims, of_heading=True)) == sum(
+        len(swim.time_s) - len(turned(swim)[0]) for swim in swims
+    )
+    effect, rng = found.term.effect(), np.random.default_rng(0)
+    moved = [effect.fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0), rng) for _ in range(2000)]
+    turns = np.array([fix.heading_rad for fix in moved if fix is not None])
+    assert np.mean(turns != 0.0) == pytest.approx(found.chance.value, abs=0.02)
+    assert set(np.round(turns, 9)) == {0.0, *np.round([-found.size.value, found.size.value], 9)}
 
 
 def test_no_fix_jumps_where_a_camera_is_moved_or_nothing_is_off() -> None:

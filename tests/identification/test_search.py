@@ -312,7 +312,7 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
 
 @from_ci
 def test_a_clock_that_drifts_is_found_beside_a_latency_that_stands_for_both() -> None:
-    """A constant delay is fitted to both at once; the frame rings, and from there derivatives show no drift."""
+    """A constant delay is fitted to both; the frame rings, and from there derivatives show no drift."""
     both = [{"name": "clock_drift", "drift": 0.006}, {"name": "fix_latency", "delay_s": 0.09}]
     swims = [make_swim(both, seed, 16) for seed in (1, 2)]
     rivals = [term(name) for name in ("limb_wear all", "fix_latency", "clock_drift", "limb_wear front_left")]

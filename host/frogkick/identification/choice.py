@@ -155,22 +155,22 @@ def with_misfires(found: Found) -> Found:
     return replace(found, misfires=misfires)
 
 
-def with_jumps(found: Found, jumps: Jumps | None, raw: Sequence[Segments], robot: Robot) -> Found:
-    """The result with the law of fixes that jump, compared with the nominal model on the runs with all fixes.
+def with_jumps(found: Found, jumps: Sequence[Jumps], raw: Sequence[Segments], robot: Robot) -> Found:
+    """The result with laws of fixes that jump, compared with the nominal model on the runs with all fixes.
 
     The search was made without the fixes that jumped.
     """
-    if jumps is None:
+    if not jumps:
         return found
-    fitted = found.fitted
-    unmoved = np.zeros((*fitted.residuals.shape, len(jumps.term.values)))
+    fitted, terms = found.fitted, [each.term for each in jumps]
+    unmoved = np.zeros((*fitted.residuals.shape, sum(len(term.values) for term in terms)))
     fitted = replace(
         fitted,
-        model=replace(fitted.model, terms=(*fitted.model.terms, jumps.term)),
+        model=replace(fitted.model, terms=(*fitted.model.terms, *terms)),
         jacobian=np.concatenate([fitted.jacobian, unmoved], axis=2),
     )
-    found = _with_chances(found, fitted, [[]], [1.0])
-    return replace(found, nominal=nominal_fit(raw, robot)[1], jumps=jumps)
+    found = _with_chances(found, fitted, [[] for _ in jumps], [1.0 for _ in jumps])
+    return replace(found, nominal=nominal_fit(raw, robot)[1], jumps=tuple(jumps))
 
 
 def _with_chances(

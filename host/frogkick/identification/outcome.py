@@ -38,7 +38,7 @@ from frogkick.identification.experiment import Experiment, experiment_of, law_te
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
-from frogkick.identification.jumps import jumps_of, without_jumps
+from frogkick.identification.jumps import jumps_of, turns_of, without_jumps
 from frogkick.identification.laws import MOMENT, moment_intervals
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
@@ -245,19 +245,21 @@ def identify(
     if reason:
         return replace(_only_predicted(train, test, robot, reason), left_out=left_out)
     raw = train, test
-    jumps = jumps_of(train) if laws else None
-    if jumps is not None:
-        train, test = without_jumps(train), without_jumps(test)
+    jumps = []
+    for kind in (jumps_of, turns_of) if laws else ():
+        if (seen := kind(train)) is not None:
+            jumps.append(seen)
+            train, test = (without_jumps(swims, seen.of_heading) for swims in (train, test))
     found = found_in(train, robot, candidates, progress, measured)
     if laws:
         found = discovered(found, robot, progress)
-    if jumps is not None and (plain := in_all_fixes(found, raw[0], robot)) is not None:
-        found, (train, test), jumps = plain, raw, None
+    if jumps and (plain := in_all_fixes(found, raw[0], robot)) is not None:
+        found, (train, test), jumps = plain, raw, []
     found = with_misfires(pruned(found, progress))
     found = with_jumps(found, jumps, raw[0], robot)
     trained = scored(found, train, found.nominal.rollouts, found.fitted.rollouts, (raw[0], raw[0]))
     models = [found.nominal.model, found.fitted.model]
-    if jumps is None:
+    if not jumps:
         nominal_rollouts, rollouts = rollouts_of(models, test)
     else:
         nominal_rollouts, rollouts = rollouts_of(models[:1], raw[1])[0], rollouts_of(models[1:], test)[0]
@@ -297,8 +299,7 @@ def _parameters(found: Found) -> list[list[Interval]]:
     by_chance: list[list[Interval]] = []
     if found.misfires is not None:
         by_chance += [[chance] for chance in found.misfires.chance]
-    if found.jumps is not None:
-        by_chance += [[found.jumps.chance, found.jumps.size]]
+    by_chance += [[each.chance, each.size] for each in found.jumps]
     fitted = found.fitted.first(len(found.fitted.model.terms) - len(by_chance))
     known = intervals(fitted, found.data, discretisation_shift(fitted, found.data))
     alike = grid_intervals(fitted, found.data)

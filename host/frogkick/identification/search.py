@@ -81,8 +81,8 @@ SHIFTS = {
 }
 """Effects that shift the times of all fixes, and where a fit of each begins beside another such shift.
 
-One of them alone is fitted to a mixture of both, and there derivatives do not show the other: the frame rings,
-so a delay has local minima."""
+One of them alone is fitted to a mixture of both, and there derivatives do not show the other: the frame
+rings, so a delay has local minima."""
 
 COMPARED = 2.0
 """The fall of the deviance that ends fits which are compared by CONFOUNDED_MARGIN, and refined later."""
@@ -115,8 +115,8 @@ class Found:
     stability: list[float] = field(default_factory=list)  # of each effect; see ``backward.stability``
     # limbs that do nothing by chance, whose laws are the last terms but those of jumps
     misfires: Misfires | None = None
-    # fixes that jump by chance, whose law is the last term; they were taken out of the runs
-    jumps: Jumps | None = None
+    # fixes that jump by chance, whose laws are the last terms; they were taken out of the runs
+    jumps: tuple[Jumps, ...] = ()
     responses: Responses | None = None  # of the runs to forces, flows and strokes, if laws were searched for
 
 

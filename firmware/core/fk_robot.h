@@ -40,7 +40,8 @@ typedef struct fk_robot fk_robot_t;
  * @retval 0         ready
  * @retval negative  fk_error_t of fk_tables_open, FK_ERROR_ROBOT where the image is for another robot,
  *                   FK_ERROR_IMAGE_TIMES where its pulse is above the guard's limit, or a whole stroke longer than
- *                   the period. The robot has a fault then, but answers; all other functions may be called.
+ *                   the period, FK_ERROR_IMAGE_COUNT where it has too many states (fk_fit.h). The robot has a fault
+ *                   then, but answers; all other functions may be called.
  */
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes);
 
@@ -71,8 +72,8 @@ void fk_robot_use_log(fk_robot_t *robot, fk_log_t *log);
  * before the next. */
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 
-/* Do what is due at now_us. A tick that makes a decision takes some milliseconds, as long as PLAN_TIME_US allows;
- * its outputs switch nothing. */
+/* Do what is due at now_us. A tick that makes a decision takes some milliseconds, as long as PLAN_TIME_US allows, and
+ * never longer than FK_SEARCH_MOST_US (fk_fit.h); its outputs switch nothing. */
 void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs);
 
 /* An armed robot that has received no whole frame for this long disarms. */

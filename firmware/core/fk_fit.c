@@ -11,11 +11,13 @@ uint64_t fk_fit_stroke_us(const fk_tables_t *tables)
     return second_us + FK_STROKE_GAP_US + pulse_us + FK_STROKE_GAP_US;
 }
 
-/* Widest: 2^13 leaves and 65535 states are 71.8 ms, 28 times that 2.01e9 ns, and 925000 us are 9.25e8 ns. */
+/* Widest: 2^13 leaves and 65535 states are 71.8 ms, 33 times that 2.37e9 ns, and 925000 us are 9.25e8 ns. */
 uint32_t fk_fit_transitions(const fk_tables_t *tables)
 {
     const uint32_t look_up_ns = (FK_LEAF_MOST_NS << tables->tree_levels) + FK_STATE_MOST_NS * tables->states;
-    const uint32_t beside_us = look_up_ns * FK_LOOK_UPS_BESIDE / 1000u;
+    const uint32_t periods = 1u + FK_LOOK_UPS_WITHIN_US / tables->period_us;
+    const uint32_t look_ups = FK_LOOK_UPS_BESIDE + ((periods < FK_LOOK_UPS_WITHIN_MAX) ? periods : FK_LOOK_UPS_WITHIN_MAX);
+    const uint32_t beside_us = look_up_ns * look_ups / 1000u;
     const uint32_t left_us = (beside_us < FK_SEARCH_MOST_US) ? FK_SEARCH_MOST_US - beside_us : 0u;
     return left_us * 1000u / (FK_TRANSITION_MOST_NS + look_up_ns / tables->actions);
 }

@@ -17,9 +17,12 @@
  * sphere around what is looked up: for each leaf, and for each state. tests/firmware/test_search_time.py */
 #define FK_LEAF_MOST_NS 3400u
 #define FK_STATE_MOST_NS 670u
-/* Look-ups beside those that a search's transitions pay for: of the estimator for a fix and a decision in one turn, at
- * most 24, and of nodes that the search opens and has not finished when it is ended, at most 4. */
-#define FK_LOOK_UPS_BESIDE 28u
+/* Look-ups beside those that a search's transitions pay for, in one turn of the port's loop: for a fix at most 21 (9 for
+ * the action before it and 8 for the time since, 1 to begin anew, 3 to reset the pose), of the search its root and at
+ * most three nodes that are not finished when it is ended, and as many as periods of rest fit between fix and decision. */
+#define FK_LOOK_UPS_BESIDE 25u
+#define FK_LOOK_UPS_WITHIN_US 500000u /* the oldest fix that a decision takes */
+#define FK_LOOK_UPS_WITHIN_MAX 8u     /* after more periods of rest the estimator forgets */
 
 /* Open an image, every byte of it checked, and check that it is for this robot and within the guard's limits.
  * @retval 0         tables filled

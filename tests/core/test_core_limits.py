@@ -87,8 +87,12 @@ def test_the_compiler_refuses_a_header_beyond_the_ceilings(old: str, new: str) -
 
 def test_a_search_in_a_table_whose_states_are_all_alike_ends_early() -> None:
     """By as many transitions as on the host; a table whose first level takes too long is refused."""
-    for states, levels in ((1200, 7), (4096, 12), (24_000, 12)):
-        image = synthetic.alike(states, levels)
+    for states, levels, period_us in (
+        (1200, 7, 1_425_000), (4096, 12, 1_425_000), (4096, 12, 250_000), (4096, 12, 10_000),
+        (20_000, 12, 1_425_000),
+    ):  # fmt: skip
+        times = {"period_us": period_us, "pulse_us": 1000, "second_delay_us": 1000}
+        image = synthetic.alike(states, levels, **times)
         robot = Robot(image).begin("DISARMED")
         robot.path()
         for name in ("ANGLE_WEIGHT_PER_RAD", "PROGRESS_WEIGHT", "LEVEL_WEIGHT", "COST", "TRANSITIONS_MAX"):

@@ -28,7 +28,7 @@ TRANSITION_NS = 26000
 PLAN_TIME_WATCHDOG_US = 600_000
 """Limit of the search time in the firmware (fk_robot_state.h)."""
 _SEARCH_MOST_US, _TRANSITION_MOST_NS, _LEAF_MOST_NS, _STATE_MOST_NS = 925_000, 33_000, 3_400, 670
-_LOOK_UPS_BESIDE = 28
+_LOOK_UPS_BESIDE, _LOOK_UPS_WITHIN_US, _LOOK_UPS_WITHIN_MAX = 25, 500_000, 8
 """What holds on the chip whatever the table: see fk_fit.h."""
 
 STATUS_TEXT = {
@@ -137,7 +137,8 @@ def transitions_in(tables: Tables) -> int:
     """Transitions after which any search in a table has ended on the robot before its watchdog resets it: the
     twin of fk_fit_transitions(). Below the number of actions the robot refuses the table."""
     look_up_ns = look_up_most_ns(tables)
-    left_us = max(0, _SEARCH_MOST_US - look_up_ns * _LOOK_UPS_BESIDE // 1000)
+    look_ups = _LOOK_UPS_BESIDE + min(1 + _LOOK_UPS_WITHIN_US // tables.period_us, _LOOK_UPS_WITHIN_MAX)
+    left_us = max(0, _SEARCH_MOST_US - look_up_ns * look_ups // 1000)
     return left_us * 1000 // (_TRANSITION_MOST_NS + look_up_ns // len(tables.actions))
 
 

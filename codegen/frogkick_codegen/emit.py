@@ -121,11 +121,12 @@ def render(
     _check_config(config)
     weights = [_literal(value) for value in config.weights()]
     banner = _banner(tables, portable_command(command), config, weights, robot_sha256)
-    image = tables.image
+    image, own = tables.image, planner_files()
     values = {
         "banner": banner,
         "tables": tables,
         "config": config,
+        "cost": tuple(COSTS)[config.cost],
         "costs": ", ".join(f"{number} = {name}" for number, name in enumerate(COSTS)),
         "config_weights": dict(zip(WEIGHTS, weights, strict=True)),
         "format_version": tables.format_version,
@@ -135,10 +136,10 @@ def render(
         "parts": [
             (present, what)
             for names, what in PARTS.items()
-            if (present := [name for name in names if name in planner_files()])
+            if (present := [name for name in names if name in own])
         ],
         "float_rules": " ".join(FLOAT_RULES),
-        "plain_weights": [weight.rstrip("f") for weight in weights],
+        "plain_weights": {name: weight.rstrip("f") for name, weight in zip(WEIGHTS, weights, strict=True)},
         "velocity_scale": [_literal(value).rstrip("f") for value in tables.velocity_scale],
         "motion_scale": [_literal(value).rstrip("f") for value in tables.motion_scale],
         "lines": [
@@ -148,7 +149,7 @@ def render(
     }
     files = {name: filled(name, **values).encode("utf-8") for name in _RENDERED}
     head = "/* " + "\n * ".join(banner) + "\n */\n"
-    for name, content in planner_files().items():
+    for name, content in own.items():
         files[name] = head.encode("utf-8") + content
     return files
 

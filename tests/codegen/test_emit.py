@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import itertools
 import re
 import subprocess
 import tempfile
@@ -17,7 +18,7 @@ from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
 from frogkick.core.weights import WEIGHTS
-from frogkick.planner.plan import PlanConfig, plan
+from frogkick.planner.plan import Cost, PlanConfig, plan
 from frogkick.tables.image import TableError, open_image
 from frogkick_codegen import toolchain
 from frogkick_codegen.emit import BUILD_COMMAND, SOURCES, emit, portable_command
@@ -76,8 +77,9 @@ def test_the_first_lines_say_where_it_comes_from(emitted: Path) -> None:
         assert "table image format 2, kind nearest" in head
         assert f"library SHA-256 {provenance}" in head
         assert "robot frog2022, " in head
-        weights = "500.0f,50.0f,300.0f,0.300000012f" + 9 * ",0.0f"
-        settings = f"{weights},-1000.0f,1000.0f,-1000.0f,1000.0f,1,0,0"
+        zeros = (len(WEIGHTS) - 8) * ",0.0f"
+        weights = f"500.0f,50.0f,300.0f,0.300000012f{zeros},-1000.0f,1000.0f,-1000.0f,1000.0f"
+        settings = f"{weights},1,0,0"
         assert re.search(rf"configuration SHA-256 [0-9a-f]{{64}} \({re.escape(settings)}\)", head)
         assert f"command: {COMMAND}" in head
         assert f"flash: {len(IMAGE)} bytes of table" in head
@@ -213,28 +215,10 @@ def test_a_configuration_that_the_planner_would_refuse_is_not_emitted(
 
 
 def test_the_configuration_is_written_to_the_last_bit(tmp_path: Path) -> None:
-    config = PlanConfig(
-        1e-40,
-        123.456789,
-        1e6,
-        1 / 3,
-        2 / 3,
-        1e-9,
-        1e5 / 7,
-        2.0,
-        55.50001,
-        77.7,
-        1.9999999,
-        1e3 / 3,
-        1e-3,
-        -1e-40,
-        1 / 3,
-        -1000.0,
-        0.0,
-        3,
-        1,
-        12345,
-    )
+    awkward = itertools.cycle((1e-40, 123.456789, 1e6, 1 / 3, 1e5 / 7, 1.9999999, 55.50001))
+    weights = {name: min(next(awkward), each.most) for name, each in WEIGHTS.items()}
+    weights["wall_x_min_m"] = -1e-40
+    config = PlanConfig(**weights, depth=3, cost=Cost.ROUTE, transitions_max=12345)
     emit(IMAGE, tmp_path / "out", COMMAND, config)
     text = (tmp_path / "out" / "fk_config.h").read_text()
     values = re.findall(r"#define FK_CONFIG_\w+ (\S+)f$", text, flags=re.MULTILINE)
@@ -242,6 +226,11 @@ def test_the_configuration_is_written_to_the_last_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.array(values, dtype=np.float32), wanted)
     for line in ("DEPTH 3U", "COST 1U", "TRANSITIONS_MAX 12345U"):
         assert f"#define FK_CONFIG_{line}" in text
+    rows = dict(
+        re.findall(r"^\| (\S.*) \| (\S.*) \|$", (tmp_path / "out/README.md").read_text(), re.MULTILINE)
+    )
+    assert rows["cost"] == "route"
+    assert [np.float32(rows[f"`{name}`"]) for name in WEIGHTS] == wanted.tolist()
 
 
 @pytest.mark.parametrize(

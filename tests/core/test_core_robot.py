@@ -12,6 +12,7 @@ import pytest
 from cobs import cobs
 from tests.core.core import ACTION, FFI, PERIOD_US, RESTING, STATE, Robot, bits, cases, core, decode, image
 
+from frogkick.core.weights import WEIGHTS
 from frogkick.link.auth import words
 from frogkick.link.frames import hello
 from frogkick.link.layout import AUTH_BIT, EVENT_BIT, Value, link_layout
@@ -353,8 +354,9 @@ def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
         [np.linspace(0, 1, 18), 0.1 * np.sin(np.arange(18)), rng.uniform(-3, 3, 18)]
     ).astype(np.float32)
     assert robot.status("PATH", {"first": 0, "total": 18, "count": 18}, rows.tolist()) == "OK"
-    weights = (400, 33, 250, 0.7, 310, 0.12, 0.02, 0.5, 55, 240, 0.8, 290, 3.2, -0.4, 0.6, -0.1, 0.2)
-    config = PlanConfig(*weights, depth, cost, transitions_max=70)
+    values = (400, 33, 250, 0.7, 310, 0.12, 0.02, 0.5, 55, 240, 0.8, 290, 3.2, -0.4, 0.6, -0.1, 0.2)
+    weights = dict(zip(WEIGHTS, values, strict=True))
+    config = PlanConfig(**weights, depth=depth, cost=cost, transitions_max=70)
     for name, value in asdict(config).items():
         if name != "depth":
             assert robot.status("PARAM", {"parameter": PARAMETERS[name.upper()], "value": value}) == "OK"
@@ -369,18 +371,13 @@ def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
 
     along = rng.uniform(0, 17, len(states)).astype(np.float32)
     wanted = NativeLibrary().plan_batch(
-        robot.image,
-        Columns,
-        config,
-        states,
-        limb_use=uses,
-        along_points=along,
+        robot.image, Columns, config, states, limb_use=uses, along_points=along
     )
     for state, use, place, row in zip(states, uses, along, wanted, strict=True):
-        values: dict[str, Value] = {"depth": depth, "along_points": float(place)}
-        values |= {name: float(value) for name, value in zip(names, state, strict=True)}
-        values |= {name: int(limb) for name, limb in zip(LIMB_USE_FIELDS, use, strict=True)}
-        answer = robot.ask("PLAN", values)
+        asked: dict[str, Value] = {"depth": depth, "along_points": float(place)}
+        asked |= {name: float(value) for name, value in zip(names, state, strict=True)}
+        asked |= {name: int(limb) for name, limb in zip(LIMB_USE_FIELDS, use, strict=True)}
+        answer = robot.ask("PLAN", asked)
         assert answer["status"] == row["status"]
         for name in ("action", "nearest_state", "path_index", "depth_reached", "transitions"):
             assert answer[name] == row[name]

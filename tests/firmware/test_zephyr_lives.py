@@ -218,6 +218,26 @@ def test_no_pulse_on_the_gates_without_the_crystal(life: Life) -> None:
     assert len(life.session.edges) == 2
 
 
+@from_ci
+def test_eight_limbs_find_channels_beside_bluetooth_s(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each alone, and all of them: its controller leaves twelve channels of PPI."""
+    options = [*defines(configuration(monkeypatch, ROBOT / "prj.conf")), "-DFK_LOG_BYTES=16384u"]
+    life = Life(play(made, tmp_path, [*options, "-DDECLARED_EIGHT_LIMBS"]))
+    life.session.request("ARM")
+    for mask in (*(1 << limb for limb in range(8)), 0b11111111, 0b01010101, 0b10100110):
+        seen = len(life.session.edges)
+        assert life.robot.stage.fk_limbs_pulse(mask, 1000, ctypes.c_uint64(2**62)) == 0
+        life.live(0.1)
+        edges = life.session.edges[seen:]
+        for level in (True, False):
+            assert sum(1 << edge.limb for edge in edges if edge.level is level) == mask
+        up_s, down_s = ({edge.time_s for edge in edges if edge.level is level} for level in (True, False))
+        assert len(up_s) == len(down_s) == 1
+        assert down_s.pop() - up_s.pop() == pytest.approx(1e-3, abs=1e-9)
+
+
 def test_a_crystal_that_stops(life: Life) -> None:
     session = life.session
     session.request("ARM")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 ROBOT = Path(__file__).parents[2] / "firmware" / "robot"
 DECLARED = Path(__file__).parent / "zephyr"
 LIBC = {"errno.h", "string.h", "stdint.h"}
-PINS = (22, 23, 24, 25)
+PINS = tuple(range(22, 30))
 _ROOM = 65536
 
 

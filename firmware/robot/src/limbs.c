@@ -35,6 +35,7 @@ static void (*on_end)(void);
 static atomic_t is_on;
 static uint32_t begin_channels[ARRAY_SIZE(pins)]; /* masks of PPI channels: the timer's begin -> SET of a limb */
 static uint32_t all_begin_channels;
+static uint8_t end_channel; /* the timer's end -> CLR of the last two limbs that were connected */
 static uint8_t is_ready;
 static struct onoff_client clock_client;
 static uint8_t clock_is_held;
@@ -54,7 +55,8 @@ uint64_t fk_limbs_now_us(void)
 }
 
 /* Set the pin low, connect its CLR task to the timer's end, and its SET task to the timer's begin by a channel
- * that is disabled. */
+ * that is disabled. Two limbs share the channel of the end, one by its fork, since Bluetooth's controller leaves
+ * twelve channels, and eight limbs need all of them. */
 static int32_t connect_limb(uint32_t limb)
 {
     const uint8_t pin = pins[limb];
@@ -68,20 +70,26 @@ static int32_t connect_limb(uint32_t limb)
         .polarity = NRF_GPIOTE_POLARITY_TOGGLE,
         .init_val = NRF_GPIOTE_INITIAL_VALUE_LOW,
     };
-    uint8_t end;
     uint8_t begin;
 
     if (nrfx_gpiote_channel_alloc(&gpiote, &task.task_ch) != NRFX_SUCCESS ||
         nrfx_gpiote_output_configure(&gpiote, pin, &output, &task) != NRFX_SUCCESS ||
-        nrfx_gppi_channel_alloc(&end) != NRFX_SUCCESS || nrfx_gppi_channel_alloc(&begin) != NRFX_SUCCESS) {
+        nrfx_gppi_channel_alloc(&begin) != NRFX_SUCCESS) {
         return FK_LIMBS_ERROR_HARDWARE;
     }
     nrfx_gpiote_out_task_enable(&gpiote, pin);
-    nrfx_gppi_channel_endpoints_setup(end, nrfx_timer_compare_event_address_get(&timer, NRF_TIMER_CC_CHANNEL0),
-                                      nrfx_gpiote_clr_task_address_get(&gpiote, pin));
+    if (limb % 2u != 0u) {
+        nrfx_gppi_fork_endpoint_setup(end_channel, nrfx_gpiote_clr_task_address_get(&gpiote, pin));
+    } else if (nrfx_gppi_channel_alloc(&end_channel) == NRFX_SUCCESS) {
+        nrfx_gppi_channel_endpoints_setup(end_channel,
+                                          nrfx_timer_compare_event_address_get(&timer, NRF_TIMER_CC_CHANNEL0),
+                                          nrfx_gpiote_clr_task_address_get(&gpiote, pin));
+        nrfx_gppi_channels_enable((uint32_t)BIT(end_channel));
+    } else {
+        return FK_LIMBS_ERROR_HARDWARE;
+    }
     nrfx_gppi_channel_endpoints_setup(begin, nrfx_timer_compare_event_address_get(&timer, NRF_TIMER_CC_CHANNEL1),
                                       nrfx_gpiote_set_task_address_get(&gpiote, pin));
-    nrfx_gppi_channels_enable((uint32_t)BIT(end));
     begin_channels[limb] = (uint32_t)BIT(begin);
     all_begin_channels |= (uint32_t)BIT(begin);
     return FK_LIMBS_OK;

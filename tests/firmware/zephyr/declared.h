@@ -24,9 +24,17 @@
 /* zephyr/devicetree.h: of the board in frogkick's overlay */
 #define DT_NODELABEL(label) DT_##label
 #define DECLARED_BARE(...) __VA_ARGS__
+#define DECLARED_FOUR(node, property, function, separator, first) \
+    function(node, property, first) DECLARED_BARE separator function(node, property, first + 1) DECLARED_BARE \
+        separator function(node, property, first + 2) DECLARED_BARE separator function(node, property, first + 3)
+#if defined(DECLARED_EIGHT_LIMBS)
 #define DT_FOREACH_PROP_ELEM_SEP(node, property, function, separator) \
-    function(node, property, 0) DECLARED_BARE separator function(node, property, 1) DECLARED_BARE separator \
-        function(node, property, 2) DECLARED_BARE separator function(node, property, 3)
+    DECLARED_FOUR(node, property, function, separator, 0) DECLARED_BARE separator \
+        DECLARED_FOUR(node, property, function, separator, 4)
+#else
+#define DT_FOREACH_PROP_ELEM_SEP(node, property, function, separator) \
+    DECLARED_FOUR(node, property, function, separator, 0)
+#endif
 #define DT_GPIO_PIN_BY_IDX(node, property, index) (22 + (index))
 #define DT_IRQN(node) 10
 #define DT_IRQ(node, cell) 1
@@ -389,6 +397,7 @@ void nrfx_power_pof_enable(const nrfx_power_pofwarn_config_t *p_config);
 
 nrfx_err_t nrfx_gppi_channel_alloc(uint8_t *channel);
 void nrfx_gppi_channel_endpoints_setup(uint8_t channel, uint32_t eep, uint32_t tep);
+void nrfx_gppi_fork_endpoint_setup(uint8_t channel, uint32_t fork_tep);
 void nrfx_gppi_channels_enable(uint32_t mask);
 void nrfx_gppi_channels_disable(uint32_t mask);
 

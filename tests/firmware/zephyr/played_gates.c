@@ -164,6 +164,7 @@ void play_battery(uint32_t channel, int pin_mv)
 typedef struct {
     uint32_t event;
     uint32_t task;
+    uint32_t fork;
     int enabled;
 } channel_t;
 typedef struct {
@@ -193,11 +194,18 @@ static void drive(uint32_t pin, uint32_t level)
         edges[edge_count++ % EDGES_MAX] = (edge_t){now_us, pin, level};
     }
 }
+static void trigger(uint32_t task)
+{
+    if (task != 0) {
+        drive(task & 0xFFFu, (task & 0xF000u) == 0x2000u);
+    }
+}
 static void timer_compares(uint32_t channel)
 {
-    for (uint32_t i = 0; i < channels_used; ++i) {
+    for (uint32_t i = 0; i < 32; ++i) {
         if (channels[i].enabled && channels[i].event == EVENT_ADDRESS(channel)) {
-            drive(channels[i].task & 0xFFFu, (channels[i].task & 0xF000u) == 0x2000u);
+            trigger(channels[i].task);
+            trigger(channels[i].fork);
         }
     }
     if (channel == 0) {
@@ -306,7 +314,12 @@ uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *instance, uint
 }
 nrfx_err_t nrfx_gppi_channel_alloc(uint8_t *channel)
 {
-    *channel = (uint8_t)channels_used++;
+    /* The controller of Bluetooth has 6 to 13 and those that are wired by the silicon. */
+    static const uint8_t left[] = {0, 1, 2, 3, 4, 5, 14, 15, 16, 17, 18, 19};
+    if (channels_used == sizeof(left)) {
+        return NRFX_ERROR_NO_MEM;
+    }
+    *channel = left[channels_used++];
     return NRFX_SUCCESS;
 }
 void nrfx_gppi_channel_endpoints_setup(uint8_t channel, uint32_t eep, uint32_t tep)
@@ -314,6 +327,7 @@ void nrfx_gppi_channel_endpoints_setup(uint8_t channel, uint32_t eep, uint32_t t
     channels[channel].event = eep;
     channels[channel].task = tep;
 }
+void nrfx_gppi_fork_endpoint_setup(uint8_t channel, uint32_t fork_tep) { channels[channel].fork = fork_tep; }
 static void switch_channels(uint32_t mask, int enabled)
 {
     for (uint32_t i = 0; i < 32; ++i) {

@@ -250,6 +250,26 @@ def test_a_crystal_that_stops(life: Life) -> None:
     assert session.edges == []
 
 
+@pytest.mark.parametrize("who", ["an interrupt", "a debugger"])
+def test_a_pulse_that_is_held_up_around_its_beginning(life: Life, who: str) -> None:
+    """By an interrupt that follows at once: nothing. By a debugger before it, so that it is late: FAULT."""
+    session, stage = life.session, life.robot.stage
+    session.request("ARM")
+    life.live(1.0)
+    (stage.play_interrupt if who == "an interrupt" else stage.play_halt)(ctypes.c_uint64(400))
+    session.post("STROKE", {"action": life.firing})
+    life.live(0.5)
+    status, row = session.request("STATUS"), life.tables.actions[life.firing]
+    ups = [edge for edge in session.edges if edge.level]
+    if who == "an interrupt":
+        assert (status["state"], status["fault"]) == (STATE["ARMED"], link_layout().fault["NONE"])
+        assert len(ups) == row.first_mask.bit_count() + row.second_mask.bit_count()
+    else:
+        assert (status["state"], status["fault"]) == (STATE["FAULT"], link_layout().fault["PULSE"])
+        assert ups == [], "switched off at once, and computing takes no time here"
+    assert len(session.edges) == 2 * len(ups)
+
+
 def test_a_supply_that_falls_disarms(life: Life) -> None:
     session, robot = life.session, life.robot
     session.request("ARM")

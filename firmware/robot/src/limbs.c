@@ -191,18 +191,20 @@ int32_t fk_limbs_pulse(uint8_t limb_mask, uint32_t pulse_us, uint64_t latest_us)
         return FK_LIMBS_ERROR_BUSY;
     }
     set_up(limb_mask, pulse_us);
-    /* No interrupt between reading the clock and the one write that starts the timer. */
+    /* No interrupt between reading the clock and the one write that starts the timer, nor before it is read again: one
+     * that takes long would look like a pulse that began late. */
     const unsigned int key = irq_lock();
     const int32_t in_time = fk_limbs_now_us() + START_US <= latest_us;
     if (in_time != 0) {
         nrfx_timer_enable(&timer);
     }
+    const int32_t was_held_up = fk_limbs_now_us() > latest_us + START_US;
     irq_unlock(key);
     if (in_time == 0) {
         atomic_set(&is_on, 0);
         return FK_LIMBS_ERROR_LATE;
     }
-    return (fk_limbs_now_us() > latest_us + START_US) ? FK_LIMBS_ERROR_HELD_UP : FK_LIMBS_OK;
+    return was_held_up ? FK_LIMBS_ERROR_HELD_UP : FK_LIMBS_OK;
 }
 
 void fk_limbs_off(void)

@@ -112,8 +112,24 @@ int k_work_submit(struct k_work *work)
     work->handler(work);
     return 0;
 }
+void played_spend(uint64_t us)
+{
+    const uint64_t until_us = now_us + us;
+    while (played_gates_next_us() <= until_us) {
+        now_us = played_gates_next_us();
+        played_gates_event();
+    }
+    now_us = until_us;
+}
+static uint64_t interrupt_us; /* that an interrupt takes which has waited for irq_unlock() */
+void play_interrupt(uint64_t us);
+void play_interrupt(uint64_t us) { interrupt_us = us; }
 unsigned int irq_lock(void) { return 0; }
-void irq_unlock(unsigned int key) { (void)key; }
+void irq_unlock(unsigned int key)
+{
+    (void)key;
+    played_spend(interrupt_us);
+}
 bool atomic_cas(atomic_t *target, atomic_val_t old_value, atomic_val_t new_value)
 {
     const bool equal = *target == old_value;

@@ -66,7 +66,7 @@ def count(ci: int, full: int, quick: int | None = None) -> int:
 def some(cases: Iterable[Any], quick: int, ci: int | None = None) -> list[Any]:
     """All cases of a parametrized test; in make test ``quick`` of them, evenly spread, with the first.
 
-    ``ci``: as many in .ci/run, of cases that are alike and dear.
+    ``ci``: as many in .ci/run, of slow cases that resemble each other.
     """
     every = list(cases)
     wanted = count(len(every) if ci is None else ci, len(every), min(quick, len(every)))

@@ -390,7 +390,7 @@ def image_sizes(elf: Path, chip: Chip = CHIPS["bench"]) -> tuple[int, int, int]:
             content = ELFFile(file)
         except ELFError as error:
             raise InputError(
-                f"{elf.name!r} is not a firmware image of ours ({error}): build it again"
+                f"{elf.name!r} is not a firmware image of frogkick ({error}): build it again"
             ) from error
         for segment in content.iter_segments("PT_LOAD"):
             flash += segment["p_filesz"]

@@ -74,7 +74,7 @@ def test_an_effect_that_did_not_come_along_is_named(tmp_path: Path) -> None:
     )
     robot = robot_with('\n[[effect]]\nfile = "mine.py"\n', tmp_path)
     assert effects_of(robot)[0].title == "Mine"
-    with pytest.raises(InputError, match=r"'mine.py', which did not come along"):
+    with pytest.raises(InputError, match=r"'mine.py', whose folder is not known"):
         effects_of(parse_robot(robot.toml, "text"))
     wrong = robot_with('\n[[effect]]\nname = "limb_wear"\nlimb = "tail"\n', tmp_path)
     with pytest.raises(InputError, match="no limb 'tail'"):

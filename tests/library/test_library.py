@@ -318,7 +318,7 @@ def test_somebody_else_s_folder_is_not_touched(tmp_path: Path) -> None:
     folder = tmp_path / "out.h5.parts"
     folder.mkdir()
     (folder / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="none of ours"):
+    with pytest.raises(InputError, match="frogkick did not make it"):
         build_library(ROBOT, 2, SEED, 1, tmp_path / "out.h5")
     assert (folder / "thesis.txt").read_text() == "mine"
 

@@ -226,7 +226,7 @@ def test_bad_days(pool: Served, camera: Path, capsys: pytest.CaptureFixture[str]
     assert said.startswith("the cable is plugged in: serial:/dev/")
     pool.target = said.rpartition(" ")[2]
     assert frogkick(capsys, "log", "fetch", "--robot", pool.target, "--out", camera.parent / "l.h5").code == 0
-    assert pool.act("hid").startswith("'hid' (did you mean 'hide'?) is no word for this pool")
+    assert pool.act("hid").startswith("'hid' (did you mean 'hide'?) is no command of this pool")
     assert "outside the pool" in pool.act("put 2,0,0") and "give X,Y,DEG" in pool.act("put here")
 
 

@@ -104,7 +104,7 @@ def test_forced_reconnects(robot: LiveRobot, there: Rigged) -> None:
 
 
 def cut_session(robot: LiveRobot, there: Rigged, every: int) -> LabSession:
-    """A session with a robot whose connection drops at each so-manieth chunk, before that chunk arrives."""
+    """A session with a robot whose connection drops at every n-th chunk, before it arrives."""
     chunks = itertools.count(1)
     last: list[Frame] = []
 

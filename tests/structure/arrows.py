@@ -23,8 +23,8 @@ PACKAGES = {
 EVERYBODY = frozenset({"core"})
 """Rooms of frogkick that all may import."""
 
-_LOWER = ("robot", "der", "effects", "library", "tables", "planner", "estimator", "paths")
-_MOST = (*_LOWER, "pool", "runs", "identification", CODEGEN)
+_STAGES = ("robot", "effects", "tables", "runs", "identification", CODEGEN)
+_MOST = (*_STAGES, "der", "library", "planner", "paths", "pool", "validation", "report")
 
 ARROWS: Mapping[str, frozenset[str]] = {
     "core": frozenset(),
@@ -42,16 +42,16 @@ ARROWS: Mapping[str, frozenset[str]] = {
     "runs": frozenset(
         {"robot", "effects", "tables", "planner", "estimator", "paths", "vision", "link", "pool"}
     ),
-    "identification": frozenset({"robot", "der", "effects", "paths", "runs"}),
-    "validation": frozenset({"robot", "der", "effects", "library"}),
-    "ring": frozenset(_MOST),
-    "report": frozenset({*_MOST, "validation", "ring"}),
-    "front": frozenset({*_MOST, "vision", "link", "validation", "ring", "report"}),
+    "identification": frozenset({"robot", "der", "effects", "runs"}),
+    "validation": frozenset({"robot", "der", "effects"}),
+    "ring": frozenset({*_STAGES, "library", "planner", "paths", "pool"}),
+    "report": frozenset({*_STAGES, "der", "validation", "ring"}),
+    "front": frozenset({*_MOST, "vision", "link", "ring"}),
     "cli": frozenset({"__init__", "front", "report", STUDIES}),  # arguments in, one call, printing out
     # A study asks what no front door answers: rods step by step, bytes of tables, cycles of the chip.
-    STUDIES: frozenset({"__init__", *_MOST, "validation", "report", "front"}),
-    CODEGEN: frozenset({"robot", "tables", "planner", "estimator", "link"}),
-    "__init__": frozenset({"front", "robot", "der", "effects", "library", "paths"}),
+    STUDIES: frozenset({"__init__", *_MOST, "estimator", "front"}),
+    CODEGEN: frozenset({"robot", "tables", "planner", "link"}),
+    "__init__": frozenset({"front", "robot", "effects", "library", "paths"}),
 }
 """Folder or module of frogkick -> those that it may import besides itself and ``EVERYBODY``."""
 
@@ -116,23 +116,41 @@ def violations(root: Path) -> list[str]:
         root: a repository: folders of ``PACKAGES`` are read.
     """
     found: list[str] = []
+    ours = _ours(root)
+    for room, name, imports in _by_room(root):
+        if room not in ARROWS:
+            found.append(f"{name}:1 {room!r} has no row in ARROWS: add one")
+            continue
+        for one in imports:
+            reason = _reason(room, one.module, ours)
+            if reason:
+                found.append(f"{one.file}:{one.line} {reason}")
+    return sorted(set(found))
+
+
+def unused(root: Path) -> list[tuple[str, str]]:
+    """Return the arrows that no import below ``root`` needs: (room, what it may import)."""
+    ours = _ours(root)
+    needed = {(room, _target(one.module, ours)) for room, _, imports in _by_room(root) for one in imports}
+    arrows = {(room, target) for room, targets in ARROWS.items() for target in targets}
+    return sorted(arrows - needed)
+
+
+def _ours(root: Path) -> set[str]:
+    """Return the names of folders and modules of frogkick."""
     host = root / "host" / "frogkick"
-    ours = {entry.stem for entry in host.iterdir() if entry.suffix == ".py" or entry.is_dir()}
+    return {entry.stem for entry in host.iterdir() if entry.suffix == ".py" or entry.is_dir()}
+
+
+def _by_room(root: Path) -> Iterator[tuple[str, str, list[Import]]]:
+    """Yield the row, the name and the imports of each file of ``PACKAGES``."""
     for folder, row in PACKAGES.items():
         top = root / folder
         for file in sorted(top.rglob("*.py")):
             inside = file.relative_to(top)
             package = ".".join([top.name, *inside.parts[:-1]])
-            room = row or inside.parts[0].removesuffix(".py")
             name = file.relative_to(root).as_posix()
-            if room not in ARROWS:
-                found.append(f"{name}:1 {room!r} has no row in ARROWS: add one")
-                continue
-            for one in imports_of(file, package, name):
-                reason = _reason(room, one.module, ours)
-                if reason:
-                    found.append(f"{one.file}:{one.line} {reason}")
-    return sorted(set(found))
+            yield row or inside.parts[0].removesuffix(".py"), name, list(imports_of(file, package, name))
 
 
 def unknown(root: Path) -> list[str]:
@@ -183,21 +201,26 @@ def circle(root: Path) -> list[str]:
     return []
 
 
+def _target(module: str, ours: set[str]) -> str:
+    """Return the row of a module that is imported, or "" if it is not ours."""
+    first, _, inner = module.partition(".")
+    if first in ("frogkick_codegen", "frogkick_studies"):
+        return first.removeprefix("frogkick_")
+    if first != "frogkick":
+        return ""
+    # A name out of frogkick/__init__.py, unless there is such a folder.
+    target = inner.partition(".")[0]
+    return target if target in ARROWS or target in ours else "__init__"
+
+
 def _reason(room: str, module: str, ours: set[str]) -> str:
     """Return why ``room`` must not import ``module``, or ""."""
-    parts = module.split(".")
-    if parts[0] == "frogkick":
-        target = parts[1] if len(parts) > 1 else "__init__"
-        if target not in ARROWS:
-            # A name out of frogkick/__init__.py, unless there is such a folder without a row.
-            target = target if target in ours else "__init__"
-            if target == "__init__" and target not in ARROWS[room]:
-                return f"{room} imports {parts[1]} of the front door, which stands above it"
-    elif parts[0] in ("frogkick_codegen", "frogkick_studies"):
-        target = parts[0].removeprefix("frogkick_")
-    elif parts[0] in sys.stdlib_module_names or room not in WHEELS or parts[0] in WHEELS[room]:
-        return ""
-    else:
+    parts, target = module.split("."), _target(module, ours)
+    if target == "__init__" and target not in ARROWS[room] and len(parts) > 1:
+        return f"{room} imports {parts[1]} of the front door, which stands above it"
+    if not target:
+        if parts[0] in sys.stdlib_module_names or room not in WHEELS or parts[0] in WHEELS[room]:
+            return ""
         return f"{room} imports {parts[0]}, allowed is {_list(WHEELS[room])} and the standard library"
     if target == room or target in EVERYBODY or target in ARROWS[room]:
         return ""

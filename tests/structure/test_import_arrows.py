@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from tests.conftest import REPOSITORY, from_ci
-from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, circle, unknown, violations
+from tests.structure.arrows import ARROWS, CODEGEN, STUDIES, c_arrows, circle, unknown, unused, violations
 from tests.structure.wheel import repository_files
 
 from frogkick.front.tables import MADE_BY
@@ -36,6 +36,11 @@ def plant(root: Path, files: dict[str, str]) -> list[str]:
 
 def test_the_arrows_hold() -> None:
     assert violations(REPOSITORY) == []
+
+
+def test_each_arrow_is_needed() -> None:
+    """Else a room may come to import what it never did, and no row would change."""
+    assert unused(REPOSITORY) == [(STUDIES, "__init__")]  # as a notebook may
 
 
 def test_every_module_that_is_imported_exists(tmp_path: Path) -> None:

@@ -166,7 +166,7 @@ def retune(
 ) -> None:
     """Make a new table for a worn robot.
 
-    The exit code is 1 if it is no better on held-out periods, or if the runs are too short.
+    The exit code is 1 if the new table is no better on held-out periods, or if the runs are too short.
     """
     from frogkick.front.retuning import TABLES, retune
 

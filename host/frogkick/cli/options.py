@@ -49,7 +49,8 @@ Tables = Annotated[
 ]
 Planner = Annotated[
     PlannerName,
-    "Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and depth 1.",
+    "Weights and depth of the planner. robot: those of its TOML file; paper: the paper's weights "
+    "(distance 500, angle 50, progress 300, level 0.3) and depth 1.",
 ]
 Depth = Annotated[
     int | None,
@@ -70,7 +71,8 @@ Model = Annotated[
 Laws = Annotated[
     bool,
     "If residuals above the noise remain with the catalogue, search formulas as well: springs, sloshing, "
-    "limbs that break or depend on the heading. With --no-laws the search ends with the catalogue.",
+    "limbs that break, strokes that depend on the heading. With --no-laws the search ends with the "
+    "catalogue.",
 ]
 Nominal = Annotated[
     str | None,

@@ -75,7 +75,7 @@ def _hint(finding: Finding) -> str:
 
 
 def doctor(json: opt.Json = False) -> None:
-    """Check which tools this machine has. The exit code is 1 if the simulation loop cannot run here."""
+    """Check which tools this machine has. The exit code is 1 if no run can be simulated here."""
     from frogkick.front.readiness import check_machine
 
     found = check_machine()

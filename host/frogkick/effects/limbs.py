@@ -64,6 +64,19 @@ class LimbWear(Effect):
         return stroke
 
 
+class WeakenedLimb(Effect):
+    """One limb straightens by a share of its stroke, down to none: for wear curves, in no robot's file."""
+
+    def __init__(self, limb: int, gain: float) -> None:
+        """``limb`` is an index; ``gain`` is not limited as that of ``LimbWear`` is."""
+        self.limb, self.gain = limb, gain
+
+    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+        if stroke.index == self.limb:
+            stroke.gain *= self.gain
+        return stroke
+
+
 class LimbMemory(Effect):
     """A limb that fired recently is still warm, so its next stroke is smaller."""
 

@@ -83,8 +83,8 @@ def effects_of(robot: Robot) -> tuple[Effect, ...]:
     for table in robot.effects:
         if "file" in table and robot.folder is None:
             raise InputError(
-                f"robot {robot.id!r} has an effect of its own in {table['file']!r}, which did not come "
-                "along: name the robot's TOML file"
+                f"robot {robot.id!r} has an effect of its own in {table['file']!r}, whose folder is not "
+                "known: name the robot's TOML file"
             )
     try:
         effects = make_effects(robot.effects, robot.folder or Path())

@@ -55,7 +55,7 @@ class WearFilter:
         """Start with nothing lost, from the tables of new limbs; InputError: they hold no wear curves."""
         if not tables.limb_wear.size:
             raise InputError(
-                "the table holds no wear curves to learn by: build it again, or do without learn"
+                "the table has no wear curves, which learning needs: build it again, or leave out learn"
             )
         self._fires = [np.flatnonzero(fires).tolist() for fires in tables.fires]
         self._original = tables

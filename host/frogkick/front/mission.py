@@ -240,7 +240,7 @@ def with_walls(
     if min(x_1 - x_0, y_1 - y_0) <= 2.0 * away_m:
         raise InputError(
             f"between walls {x_1 - x_0:g} m x {y_1 - y_0:g} m apart the robot has no room, as it reaches "
-            f"{reach_m:.3f} m from its middle: give its pool's own walls"
+            f"{reach_m:.3f} m from its centre: give its pool's own walls"
         )
     return dataclasses.replace(
         config,

@@ -52,7 +52,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Readiness:
-    """The tools of this machine, for the simulation loop and for more, and what is plugged in."""
+    """The tools of this machine, for simulated runs and for more, and what is plugged in."""
 
     needed: tuple[Finding, ...]
     optional: tuple[Finding, ...]
@@ -61,7 +61,7 @@ class Readiness:
 
     @property
     def ready(self) -> bool:
-        """Whether the simulation loop can run here."""
+        """Whether a run can be simulated here."""
         return all(finding.works for finding in self.needed)
 
     def as_json(self) -> dict[str, Any]:

@@ -202,7 +202,7 @@ class ServedPool:
         word, _, rest = text.strip().partition(" ")
         if word not in WORDS or (rest and word != "put"):
             raise InputError(
-                f"{text.strip()!r}{nearest_name(word, WORDS)} is no word for this pool: give one of "
+                f"{text.strip()!r}{nearest_name(word, WORDS)} is no command of this pool: give one of "
                 f"{', '.join(WORDS)}"
             )
         if word == "put":

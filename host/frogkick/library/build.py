@@ -91,8 +91,8 @@ class Checkpoints:
         if self.folder.is_dir() and all(file.suffix == ".npz" for file in self.folder.iterdir()):
             return "", ""  # stopped before job.json was written
         raise InputError(
-            f"{str(self.folder)!r} is in the way of the library's parts and is none of ours: "
-            "move it or choose another --out"
+            f"{str(self.folder)!r} is where the library's parts would go, and frogkick did not "
+            "make it: move it or choose another --out"
         )
 
     def _file(self, index: int) -> Path:
@@ -284,7 +284,7 @@ def truncate_library(path: Path | str, robot: Robot) -> Library:
     Settings of the robot that do not move it may differ too.
 
     Raises:
-        InputError: another robot, a period that was not recorded, or states amid strokes.
+        InputError: another robot, a period that was not recorded, or states in the course of a swim.
     """
     library, recorded = read_library(path), read_recorded(path)
     if _moves_like(robot) != _moves_like(library.robot()):
@@ -294,15 +294,15 @@ def truncate_library(path: Path | str, robot: Robot) -> Library:
         )
     if library.has_history():
         raise InputError(
-            f"library {str(path)!r} has states amid strokes {library.period_s:g} s apart: build one for "
-            f"{robot.period_s:g} s, or cut one of --sampling box"
+            f"library {str(path)!r} has states of swims with a period of {library.period_s:g} s: "
+            f"build one for {robot.period_s:g} s, or give one of --sampling box, which serves other periods"
         )
     times, period = recorded.time_s, robot.period_s
     if not len(times) or not times[0] <= period <= times[-1]:
         range_s = f"{times[0]:g}-{times[-1]:g} s are" if len(times) else "nothing is"
         raise InputError(
-            f"period {period:g} s cannot be cut from library {str(path)!r}, where {range_s} recorded: build "
-            "one"
+            f"a period of {period:g} s cannot be taken from library {str(path)!r}, where {range_s} recorded: "
+            "build a library for it"
         )
     left = int(np.clip(np.searchsorted(times, period, side="right") - 1, 0, len(times) - 2))
     ends = recorded.motion[:, :, left : left + 2].astype(np.float64)

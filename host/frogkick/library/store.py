@@ -68,7 +68,7 @@ class Library:
         displacement_body: (n, a, 3) forward, left (m), turn (rad), body frame at the start.
         velocity_body_end: (n, a, 3) body frame at the end.
         previous_actions: (n, HISTORY) actions started 1, 2, .. periods before the start, then RESTED. With
-            any of them, the limbs are amid their strokes at the start.
+            any of them, limbs are active or recover at the start.
         failed: transitions that could not be simulated, in order; only their rows are NaN.
         limb_wear: (l, WEAR_KNOTS, 6) what transitions change while a limb wears, see ``wear_curves``; (0, ..)
             where that was not simulated: the robot's tables then hold no curve, and it learns no wear.

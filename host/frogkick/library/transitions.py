@@ -1,4 +1,4 @@
-"""Simulation of all actions from many states: rigid ones at a velocity, or states amid strokes."""
+"""Simulation of all actions from many states: rigid ones at a velocity, or states in the course of a swim."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float64, dot
 from frogkick.der import Rods
-from frogkick.effects.base import Effect, History, Stroke
+from frogkick.effects.limbs import WeakenedLimb
 from frogkick.library.surface import noise_of
 from frogkick.library.transitions import rigid_task, simulate_task
 from frogkick.tables.layout import WEAR_KNOTS
@@ -21,20 +21,6 @@ GAINS = (0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 """Shares of the measured stroke that are simulated."""
 
 _LEAST = 1.0  # of a lost limb, in units of the measurement's noise: below it no wear can be seen
-
-
-class _Weakened(Effect):
-    """One limb straightens by a share of its stroke."""
-
-    name = "weakened"
-
-    def __init__(self, limb: int, gain: float) -> None:
-        self.limb, self.gain = limb, gain
-
-    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        if stroke.index == self.limb:
-            stroke.gain *= self.gain
-        return stroke
 
 
 def no_curves() -> Float64:
@@ -69,7 +55,7 @@ def wear_curves(rods: Rods, velocity_body: Float64) -> Float64:
         some = replace(rods, robot=replace(robot, actions=firing))  # no other action's transitions change
         worn = np.full((len(GAINS), *sound.shape), np.nan)
         for rows, gain in zip(worn, GAINS, strict=True):
-            rows[:, fires] = simulate_task(some, task, extra=(_Weakened(limb, gain),)).rows
+            rows[:, fires] = simulate_task(some, task, extra=(WeakenedLimb(limb, gain),)).rows
         change = np.array([(rows - sound)[:, fires].mean(axis=(0, 1)) for rows in worn])
         if not np.isfinite(change).all():
             return no_curves()

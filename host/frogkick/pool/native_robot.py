@@ -254,7 +254,9 @@ class NativeRobot(SimulatedPort):
             content = np.frombuffer(self._ffi.buffer(words), dtype=np.uint8)
             beside = np.concatenate([content[:_BESIDE], content[_BESIDE + size :]])
             if (beside != _BESIDE_BYTE).any():
-                raise FrogkickError(f"the core wrote beside a structure of {size} bytes: a fault in it")
+                raise FrogkickError(
+                    f"the core wrote outside of a structure of {size} bytes: a fault of the core, report it"
+                )
         return sum(size for _, size in self._blocks)
 
     def _lose_ram(self) -> None:

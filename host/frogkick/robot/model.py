@@ -177,7 +177,7 @@ class Robot:
 
     @property
     def reach_m(self) -> float:
-        """How far from its middle the robot reaches at most: a corner of the frame, and a limb from there."""
+        """How far from its centre the robot reaches at most: a corner of the frame, and a limb from there."""
         corner_m: float = max((x * x + y * y) ** 0.5 for x, y in self.frame.corners_m)
         return corner_m + max(limb.length_m for limb in self.limbs)
 

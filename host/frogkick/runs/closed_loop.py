@@ -93,7 +93,7 @@ def configure(session: Session, config: PlanConfig, learn: bool) -> tuple[int, .
         (8,) the shares that it remembers, 0 to 32767, as in ``Decision``.
 
     Raises:
-        LinkError: a value is out of its limits, or the table holds no wear curves to learn by.
+        LinkError: a value is out of its limits, or the table has no wear curves, which learning needs.
     """
     session.set_parameters({**parameters(config), "LEARN": HELD if learn else OFF})
     if not learn:

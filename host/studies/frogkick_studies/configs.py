@@ -64,7 +64,7 @@ class History(Config):
 
 @dataclass(frozen=True)
 class Estimator(Config):
-    """Estimate states from late, lost, doubled and wrong fixes by three methods.
+    """Estimate states from late, lost, duplicate and wrong fixes by three methods.
 
     The methods are the robot's estimator, a fitted line and the paper's estimate.
     """
@@ -94,10 +94,17 @@ class Loop(Config):
     out: Annotated[
         Path, Option(help="Folder for tables, results and figure; an interrupted study resumes there.")
     ]
-    seeds: Annotated[int, Option(min=1, max=1000, help="Runs of each, by the camera's noise.")] = 20
+    seeds: Annotated[
+        int,
+        Option(
+            min=1, max=1000, help="Runs of each planner along each path; each has other noise of the camera."
+        ),
+    ] = 20
     path: Annotated[
         list[str] | None,
-        Option(help="line, sine, ellipse, circle, bends or eight; may be repeated. Default: the first 3."),
+        Option(
+            help="line, sine, ellipse, circle, bends or eight; may be repeated. Default: the first three."
+        ),
     ] = None
     world: Annotated[
         list[str] | None,
@@ -112,18 +119,21 @@ class Loop(Config):
     ] = None
     tables: OwnTableOption = None
     learn: Annotated[
-        bool, Option(help="Compare the host as well, which plans with an estimate of the limbs' wear.")
+        bool,
+        Option(
+            help="Also compare a planner on the host that estimates the wear of the limbs and plans with it."
+        ),
     ] = False
     workers: int = 0
 
 
 @dataclass(frozen=True)
 class Twin(Config):
-    """Compare the paper's planner with the robot's on the twin of a robot that was fitted to recorded runs.
+    """Compare the paper's planner with the robot's in the pool, on a robot that was fitted to recorded runs.
 
-    With --runs the paper's planner also swims with the motion that it assumed of each action, as inverse
-    planning recovers it from its recorded decisions. The exit code is 1 if the robot's planner, with its own
-    table, is more than 10 mm off on average over the shapes or over the recorded runs' paths.
+    With --runs the paper's planner also plans with the motion that it assumed of each action in these runs,
+    which inverse planning recovers from its recorded decisions. The exit code is 1 if the robot's planner,
+    with its own table, is more than 10 mm off on average over the shapes or over the recorded runs' paths.
     """
 
     folder: ClassVar[bool] = True
@@ -131,7 +141,12 @@ class Twin(Config):
         Path,
         Option(help="Folder for libraries, tables, results, figure; an interrupted study resumes there."),
     ]
-    seeds: Annotated[int, Option(min=1, max=1000, help="Runs of each, by the camera's noise.")] = 6
+    seeds: Annotated[
+        int,
+        Option(
+            min=1, max=1000, help="Runs of each planner along each path; each has other noise of the camera."
+        ),
+    ] = 6
     path: Annotated[
         list[str] | None, Option(help="line, sine, ellipse, ...; may be repeated. Default: these 3.")
     ] = None
@@ -156,13 +171,15 @@ class Twin(Config):
 class Ceiling(Config):
     """Compare one planner in the pool with three models: full nearest table, the robot's table and the rods.
 
-    The rods are asked for all sequences of actions, so the planner looks one or two strokes ahead: from depth
-    3 on it is a beam search, whose seven levels have too many.
+    As a model, the rods must simulate every sequence of actions, so the planner looks one or two strokes
+    ahead. The beam search of depth 3 and more would need too many simulations.
     """
 
     library: LibraryArgument
     tables: OwnTableOption = None
-    seeds: Annotated[int, Option(min=1, max=1000, help="Runs of each, by noise and start.")] = 8
+    seeds: Annotated[
+        int, Option(min=1, max=1000, help="Runs with each model; each has other noise and another start.")
+    ] = 8
     depth: Annotated[
         list[int] | None, Option(min=1, max=2, help="Strokes to look ahead; may be repeated.")
     ] = None
@@ -182,7 +199,10 @@ class Foresight(Config):
     path: Annotated[str, Option(help="A shape's name or a path file.")] = "sine"
     tables: Path | None = None
     at_least: Annotated[
-        float | None, Option(help="Least progress of a plan, m/s; the nearest such plan is shown.")
+        float | None,
+        Option(
+            help="Least progress of a plan, m/s; shown is the plan with it that stays closest to the path."
+        ),
     ] = None
     breadth: Annotated[
         int, Option(min=1, max=5000, help="Number of plans kept for each part of the path.")
@@ -220,8 +240,8 @@ class Verdicts(Config):
     inside their 95 % intervals.
 
     Laws are drawn again until the nominal model's error on the test run is 2 to 20 noise floors. The right
-    kind of law must be named in 80 % of them, at most 3 % may be wrongly found, and in 85 % at least 70 % of
-    the way from the error before to the noise floor must be gone.
+    kind of law must be named in 80 % of the cases, and a wrong one in at most 3 %. In 85 % of the cases the
+    error must fall by at least 70 % of its distance from the noise floor.
     """
 
     folder: ClassVar[bool] = True
@@ -312,11 +332,11 @@ class Water(Config):
 
 @dataclass(frozen=True)
 class Shared(Config):
-    """Fit one water to measured swims and recorded runs: alloys and builds differ, the water does not.
+    """Fit the water's drag to measured swims and recorded runs together, with one drag for all robots.
 
     Alloys have an amplitude and a time scale, builds an offset, each with a prior; what is not known is
-    integrated over. Groups of swims and recorded runs are left out in turn and predicted by their own water,
-    by one for both, and runs also by that of the swims.
+    integrated over. Groups of swims and recorded runs are held out in turn. They are predicted with a drag
+    that was fitted to the others of their kind, and with one drag for both; runs also with that of the swims.
     """
 
     data_dir: Annotated[Path, Argument(help="Folder of the paper's data: exp/, profile/, control/.")]

@@ -53,7 +53,7 @@ _STYLES: tuple[tuple[str, Literal["-", "--"], str], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class EstimatorStudy(StudyResult):
-    """States estimated from late, lost, doubled and wrong fixes by several methods.
+    """States estimated from late, lost, duplicate and wrong fixes by several methods.
 
     Attributes:
         outcomes: condition of the camera -> method -> errors of its states.

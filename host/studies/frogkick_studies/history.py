@@ -136,7 +136,7 @@ def run(config: History) -> HistoryStudy:
 
 _BARS = (
     ("restarted", "limbs at rest in the library", style.DESIRED),
-    ("without", "limbs amid strokes, use no input", style.MEASURED),
+    ("without", "states of swims, limb use no input", style.MEASURED),
     ("with_use", "limb use as an input", style.TRUE),
 )
 _PANELS = (

@@ -111,6 +111,16 @@ class Moves:
         return fix
 
 
+class Settles:
+    def __init__(self, limb, more, fade):
+        self.limb, self.more, self.fade = limb, more, fade
+
+    def stroke(self, stroke, history, rng):
+        if stroke.limb == self.limb:
+            stroke.gain *= 1.0 + self.more * math.exp(-stroke.time_s / self.fade)
+        return stroke
+
+
 class ByHeading:
     def __init__(self, depth):
         self.depth, self.heading = depth, 0.0
@@ -132,6 +142,7 @@ WORLDS: list[tuple[str, dict[str, Any]]] = [
     ("drag power", {"class": "DragByPower", "force": 0.006, "power": 0.4}),
     ("fixes late at intervals", {"class": "Lags", "late": 0.15, "cycle": 7.0, "share": 0.35}),
     ("fixes off at intervals", {"class": "Moves", "x": 0.006, "y": -0.004, "cycle": 8.0, "share": 0.4}),
+    ("stroke settles rear_left", {"class": "Settles", "limb": "rear_left", "more": 0.35, "fade": 8.0}),
 ]
 PERIODS = 18
 
@@ -302,7 +313,7 @@ def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
     swims = [make_swim([], 1, 8)]
     kinds = kinds_of(robot(), swims)
     assert len({(kind.title, kind.table.get("limb")) for kind in kinds}) == len(kinds)
-    assert len(kinds) == 91, "explanation/identification.md says so"
+    assert len(kinds) == 96, "explanation/identification.md says so"
     for kind in kinds:
         term = kind.term(kind.grid[0])
         term.effect().check(robot())

@@ -278,6 +278,10 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
                 {"fade": ("1", 1.0, 300.0, 1.0)}, [{"fade": fade} for fade in (4.0, 12.0, 40.0)],
             ),
             stroke(
+                "settles", "1 + more * exp(-strokes / fade)", {"more": share},
+                {"fade": ("1", 1.0, 300.0, 1.0)}, [{"fade": fade} for fade in (4.0, 12.0, 40.0)],
+            ),
+            stroke(
                 "after a rest", "1 - loss * exp(-since_s / fade)", {"loss": share},
                 {"fade": ("s", 0.3, 60.0, 0.1)}, [{"fade": fade} for fade in (0.7, 1.5, 3.0, 6.0, 12.0)],
             ),

@@ -19,6 +19,7 @@ from frogkick.cli.main import run_command
 from frogkick.core.progress import progress_bar
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
+from frogkick.identification import segments as segments_module
 from frogkick.identification.outcome import Outcome, identify
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import catalogue
@@ -94,7 +95,7 @@ def test_the_ring_closes(
 
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_: few)
     monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
-    monkeypatch.setattr(outcome_module, "PERIODS_LEAST", count(20, 20, 16))
+    monkeypatch.setattr(segments_module, "PERIODS_LEAST", count(20, 20, 16))
     monkeypatch.setattr(closing_module, "identify", watched)
     ring = replace(round_once[0])
     adapt(ring, tmp_path, 3, progress_bar, held_out="bends")

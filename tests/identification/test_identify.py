@@ -12,11 +12,12 @@ import pytest
 from made import WORN, make_run, make_swim, robot, term
 from tests.conftest import from_ci
 
-from frogkick.cli.identify import spread
+from frogkick.cli.identify import _identified, spread
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
+from frogkick.identification import outcome as outcome_module
 from frogkick.identification.filter import Filter, Noise, Series, deviances, maximum_likelihood_noise
 from frogkick.identification.fit import Model, fit_many, rollouts_of
 from frogkick.identification.horizons import horizons_of
@@ -206,6 +207,23 @@ def test_bounded_step_holds_its_bounds() -> None:
     jacobian, residual = np.diag([1.0, 2.0, 4.0]), np.array([-3.0, -2.0, -1.0])
     step = bounded_step(jacobian, residual, np.zeros(3), np.full(3, -9.0), np.array([1.0, 9.0, 9.0]))
     assert step == pytest.approx([1.0, 1.0, 0.25])
+
+
+@from_ci
+def test_a_search_ends_by_its_bound_and_says_so(
+    worn: list[Segments], whole: list[Segments], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a count of simulations, so that a result does not depend on the machine."""
+    monkeypatch.setattr(outcome_module, "EVALUATIONS_MOST", 40)
+    ended = [identify(worn, worn[:1], robot()) for _ in range(2)]
+    assert all(each.ended_early and each.evaluations > 40 for each in ended)
+    assert ended[0].evaluations == ended[1].evaluations
+    assert ended[0].effects_as_json() == ended[1].effects_as_json()
+    assert ended[0].as_json()["search"] == {"evaluations": ended[0].evaluations, "ended_early": True}
+    assert "bound" in _identified(ended[0])
+    monkeypatch.setattr(outcome_module, "EVALUATIONS_MOST", 400)
+    plain = identify(whole, whole[:1], robot())
+    assert not plain.ended_early and 0 < plain.evaluations < 400
 
 
 def test_too_little_is_said(whole: list[Segments]) -> None:

@@ -74,6 +74,11 @@ def _further_lines(outcome: Outcome) -> list[str]:
         followed = outcome.followed
         both = f"{followed.before} before, {followed.after} after"
         lines.append(f"with the drift of each run estimated: {both}")
+    if outcome.ended_early:
+        lines.append(
+            f"the search ended by its bound, after {outcome.evaluations} simulations of the training runs: "
+            "effects may be missing"
+        )
     if outcome.dropped:
         lines.append(
             f"dropped, because the test runs are no more likely with them: {', '.join(outcome.dropped)}"

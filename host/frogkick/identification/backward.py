@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from frogkick.core.arrays import Float64
+from frogkick.identification.batching import spent_up
 from frogkick.identification.bootstrap import drawn_periods, mean_interval
 from frogkick.identification.fit import (
     CONFOUNDED_MARGIN,
@@ -58,12 +59,14 @@ def revise(
     """
     found = [list(others) for others in confounded]
     for place in range(len(found) - 1):  # the last term was chosen beside all others
+        if spent_up():
+            break
         near = [each.model.terms[-1] for each in runners_up[place]]
         current, found[place] = swap_step(data, current, place, near)
     current, kept = backward_elimination(data, current)
     current = with_fewer_free(current, data, whole=True)
     found = [found[place] for place in kept]
-    if len(kept) > 2 and (pair := _pair(data, current, single_effect_fits)) is not None:
+    if len(kept) > 2 and not spent_up() and (pair := _pair(data, current, single_effect_fits)) is not None:
         current, kept = backward_elimination(data, pair[0])
         current, found = with_fewer_free(current, data, whole=True), [pair[1][place] for place in kept]
     return from_grids(current, data), found
@@ -174,7 +177,7 @@ def backward_elimination(data: Data, fitted: Fitted) -> tuple[Fitted, list[int]]
     its complement is tried as well.
     """
     kept = list(range(len(fitted.model.terms)))
-    while len(kept) > 1:
+    while len(kept) > 1 and not spent_up():
         places, tries, saved = list[int](), list[tuple[Model, Float64]](), list[float]()
         for place, term in enumerate(fitted.model.terms):
             less = fitted.model.without(place)

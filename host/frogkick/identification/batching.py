@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TypeVar, cast
@@ -28,8 +29,52 @@ Result = TypeVar("Result")
 THREADS_MAX = 8  # threads: with more, batches are hardly fuller
 
 
+@dataclass(eq=False)
+class Budget:
+    """How many periods a search may simulate, and how many it has.
+
+    Simulations are counted and not seconds, so that a result depends on the runs alone.
+    """
+
+    most: float
+    spent: int = 0
+    ended_search: bool = False  # a search would have gone on with more
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def spend(self, lanes: Sequence[Lane]) -> None:
+        """Count the periods of some lanes."""
+        with self._lock:
+            self.spent += sum(len(lane.swim.start_s) for lane in lanes)
+
+
+@contextmanager
+def limited(periods: float) -> Iterator[Budget]:
+    """Count what is simulated within, in this thread and those that it waits for; see ``spent_up``."""
+    budget = Budget(periods)
+    token = _BUDGET.set(budget)
+    try:
+        yield budget
+    finally:
+        _BUDGET.reset(token)
+
+
+def spent_up() -> bool:
+    """Whether a search has to end with what it has. To be asked between steps, not in concurrent pieces."""
+    budget = _BUDGET.get()
+    if budget is None or budget.spent < budget.most:
+        return False
+    budget.ended_search = True
+    return True
+
+
 def roll_out(lanes: Sequence[Lane]) -> list[Rollout]:
     """Roll out runs as ``predict.roll_out`` does, with those of other threads or on all processors."""
+    if (budget := _BUDGET.get()) is not None:
+        budget.spend(lanes)
+    return _roll_out(lanes)
+
+
+def _roll_out(lanes: Sequence[Lane]) -> list[Rollout]:
     rendezvous = _RENDEZVOUS.get()
     if rendezvous is not None:
         return rendezvous.roll_out(lanes)
@@ -97,7 +142,7 @@ def run_concurrently(
 
     An exception in one of them is raised here; the others are then abandoned.
     """
-    rendezvous = _Rendezvous(list(enumerate(work)))
+    rendezvous = _Rendezvous(list(enumerate(work)), _BUDGET.get())
     threads = [
         threading.Thread(target=rendezvous.run, daemon=True) for _ in range(min(threads_max, len(work)))
     ]
@@ -133,6 +178,7 @@ class _Rendezvous:
     """Where threads wait until all of them have a request."""
 
     work: list[tuple[int, Callable[[], object]]]  # that is not begun
+    budget: Budget | None = None  # of the identification that the work is part of
     busy: int = 0  # threads that neither wait nor have ended
     own_s: float = 0.0  # processor time of the threads that have ended, without simulations
     _waiting: list[_Request] = field(default_factory=list)
@@ -145,6 +191,7 @@ class _Rendezvous:
         """In a thread: run piece after piece."""
         _RENDEZVOUS.set(self)
         _REQUEST.set(_Request())
+        _BUDGET.set(self.budget)
         try:
             while True:
                 with self._change:
@@ -202,7 +249,7 @@ class _Rendezvous:
         lanes = [lane for request in waiting for lane in request.lanes]
         begun_s = cpu_s()
         try:
-            rollouts = roll_out(lanes)
+            rollouts = _roll_out(lanes)
             first = 0
             for request in waiting:
                 request.rollouts = rollouts[first : first + len(request.lanes)]
@@ -210,7 +257,7 @@ class _Rendezvous:
         except Exception:  # rolling out each request alone shows whose fault it was
             for request in waiting:
                 try:
-                    request.rollouts = roll_out(request.lanes)
+                    request.rollouts = _roll_out(request.lanes)
                 except Exception as error:
                     request.error = error
         spent_s = cpu_s() - begun_s
@@ -230,3 +277,4 @@ class _Rendezvous:
 
 _RENDEZVOUS: ContextVar[_Rendezvous | None] = ContextVar("rendezvous", default=None)
 _REQUEST: ContextVar[_Request | None] = ContextVar("request", default=None)
+_BUDGET: ContextVar[Budget | None] = ContextVar("budget", default=None)

@@ -9,6 +9,7 @@ import numpy as np
 
 from frogkick.core.progress import TellStage
 from frogkick.identification.backward import stability, superfluous_term
+from frogkick.identification.batching import spent_up
 from frogkick.identification.calibrated import best_end_deviance, calibrated_starts, end_deviance, refitted
 from frogkick.identification.fit import EFFECT_PENALTY, PARAMETER_PENALTY, Fitted, Model, derivatives, fit
 from frogkick.identification.jumps import Jumps
@@ -89,6 +90,8 @@ def discovered(found: Found, robot: Robot, progress: TellStage) -> Found:
     if _verdict(found) in (FOUND, NOTHING) and not _at_bound(found.fitted.model):
         return found
     nominal, data = found.nominal, found.data
+    if spent_up():
+        return found
     responses = responses_of(nominal, data)
     results = [found]
     misfires = misfires_of(nominal, data, responses.idle)

@@ -18,6 +18,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.core.progress import TellStage, silent
+from frogkick.identification.batching import Budget, limited
 from frogkick.identification.choice import (
     discovered,
     found_in,
@@ -42,7 +43,7 @@ from frogkick.identification.jumps import jumps_of, turns_of, without_jumps
 from frogkick.identification.laws import MOMENT, moment_intervals
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
-from frogkick.identification.segments import Segments, reliable
+from frogkick.identification.segments import Segments, reliable, too_little
 from frogkick.identification.terms import FoundEffect, Interval, Term, catalogue
 from frogkick.identification.verdict import (
     FOUND,
@@ -63,9 +64,8 @@ from frogkick.robot import Robot
 from frogkick.robot.toml_text import to_toml
 from frogkick.runs.runlog import RunLog
 
-PERIODS_LEAST = 20
-ACTIONS_LEAST = 2
-MOTION_LEAST_M = 0.01
+EVALUATIONS_MOST, EVALUATIONS_MOST_LAWS = 400, 1000
+"""How often a search may simulate all runs, without laws and with them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +101,8 @@ class Outcome:
         diagnostics: residual diagnostics of the fitted model, or for "nothing missing" of the nominal one.
         reason: what to record where there was not enough data.
         left_out: runs whose stroke times are unreliable: ``run`` and ``reason`` of each.
+        evaluations: how often all training runs were simulated.
+        ended_early: the search ended by its bound of evaluations, and effects may be missing.
     """
 
     verdict: str
@@ -119,6 +121,8 @@ class Outcome:
     left_out: Sequence[dict[str, str]] = ()
     followed: Followed | None = None
     dropped: tuple[str, ...] = ()
+    evaluations: int = 0
+    ended_early: bool = False
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -212,6 +216,7 @@ class Outcome:
                 for swim in swims
             ],
             "left_out": list(self.left_out),
+            "search": {"evaluations": self.evaluations, "ended_early": self.ended_early},
             **({"reason": self.reason} if self.reason else {}),
         }
 
@@ -233,6 +238,24 @@ def identify(
         InputError: the user's effects cannot be used, no period of the runs can be judged, no test run has
             one, or no run's clock can be relied on.
     """
+    periods = max(sum(len(swim.start_s) for swim in train), 1)
+    with limited(EVALUATIONS_MOST * periods) as budget:
+        outcome = _identified(train, test, robot, own, progress, measured, laws, budget)
+    evaluations = budget.spent // periods
+    return replace(outcome, evaluations=evaluations, ended_early=budget.ended_search)
+
+
+def _identified(
+    train: Sequence[Segments],
+    test: Sequence[Segments],
+    robot: Robot,
+    own: Path | None,
+    progress: TellStage,
+    measured: bool,
+    laws: bool,
+    budget: Budget,
+) -> Outcome:
+    """See ``identify``."""
     candidates = catalogue(robot, own)
     train, left_out = reliable(train)
     test, more = reliable(test)
@@ -252,6 +275,7 @@ def identify(
             train, test = (without_jumps(swims, seen.of_heading) for swims in (train, test))
     found = found_in(train, robot, candidates, progress, measured)
     if laws:
+        budget.most *= EVALUATIONS_MOST_LAWS / EVALUATIONS_MOST
         found = discovered(found, robot, progress)
     if jumps and (plain := in_all_fixes(found, raw[0], robot)) is not None:
         found, (train, test), jumps = plain, raw, []
@@ -344,23 +368,6 @@ def _only_predicted(
     return Outcome(
         TOO_LITTLE, robot, train, test, None, [], trained, tested, rollouts, rollouts, signed, reason
     )
-
-
-def too_little(swims: Sequence[Segments]) -> str:
-    """Why runs are too little data, and what to record; "" if they suffice."""
-    periods = sum(len(swim.start_s) for swim in swims)
-    if periods < PERIODS_LEAST:
-        return (
-            f"the runs have {periods} whole periods with fixes, but {PERIODS_LEAST} are needed: record about "
-            f"{PERIODS_LEAST - periods} periods more"
-        )
-    actions = {int(action) for swim in swims for action in swim.action if action >= 0}
-    if len(actions) < ACTIONS_LEAST:
-        return "the runs contain only one action: record one that turns both ways, or actions in random order"
-    reach = max(float(np.ptp(swim.pose[:, :2], axis=0).max()) for swim in swims if len(swim.pose))
-    if reach < MOTION_LEAST_M:
-        return f"the robot moved {1e3 * reach:.1f} mm: record a run that swims (or check the fixes' unit)"
-    return ""
 
 
 def write_predictions(target: Path, outcome: Outcome) -> None:

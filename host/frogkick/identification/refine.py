@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from frogkick.core.arrays import Float64
+from frogkick.identification.batching import spent_up
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
     Fitted,
@@ -65,7 +66,7 @@ def refined(taken: Fitted, data: Data) -> Fitted:
     (fitted,) = fit_on([taken], data, STEPS_MAX)
     # Only now are the residuals more noise than misfit.
     fitted = noise_reestimated(fitted, data)
-    while (wider := with_free_parameter(fitted, data)) is not None:
+    while not spent_up() and (wider := with_free_parameter(fitted, data)) is not None:
         fitted = noise_reestimated(wider, data)
     return with_fewer_free(fitted, data)
 

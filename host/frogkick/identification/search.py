@@ -17,7 +17,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.progress import TellStage, silent
 from frogkick.identification.backward import EQUIVALENT, equally_good, resolve_equivalent, revise
-from frogkick.identification.batching import all_of
+from frogkick.identification.batching import all_of, spent_up
 from frogkick.identification.bootstrap import gain_by_chance
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
@@ -159,6 +159,8 @@ def search(
     current, iterations = nominal, list[list[CandidateScore]]()
     confounded, runners_up, single_effect_fits = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
     for iteration in range(most):
+        if iteration and spent_up():
+            break
         tell = partial(progress, "effects", iteration, most)
         taken, tried, rivals, fits = selection.iterate(current, tell)
         single_effect_fits = single_effect_fits or fits
@@ -326,6 +328,8 @@ class _ForwardSelection:
             return current
         last, resting = len(current.model.terms) - 1, -1
         for turn in range(2 * MOST):
+            if spent_up():
+                break
             places = [
                 place
                 for place, term in enumerate(current.model.terms)

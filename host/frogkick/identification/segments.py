@@ -38,6 +38,10 @@ _REST_BLOCK_S = 1.0  # means over this time at rest are compared: the noise of t
 
 FOLDS_MIN = 4
 
+PERIODS_LEAST = 20
+ACTIONS_LEAST = 2
+MOTION_LEAST_M = 0.01
+
 _ABSENT = int(FixFlag.MISSING | FixFlag.DUPLICATE)
 _SPOILED = _ABSENT | int(FixFlag.MISDETECTION | FixFlag.JUMP)
 
@@ -270,6 +274,23 @@ def reliable(swims: Sequence[Segments]) -> tuple[list[Segments], list[dict[str, 
     if swims and not kept:
         raise InputError(f"run {swims[0].name!r} cannot be used: {swims[0].problem}: give other runs")
     return kept, [{"run": swim.name, "reason": swim.problem} for swim in swims if swim.problem]
+
+
+def too_little(swims: Sequence[Segments]) -> str:
+    """Why runs are too little data, and what to record; "" if they suffice."""
+    periods = sum(len(swim.start_s) for swim in swims)
+    if periods < PERIODS_LEAST:
+        return (
+            f"the runs have {periods} whole periods with fixes, but {PERIODS_LEAST} are needed: record about "
+            f"{PERIODS_LEAST - periods} periods more"
+        )
+    actions = {int(action) for swim in swims for action in swim.action if action >= 0}
+    if len(actions) < ACTIONS_LEAST:
+        return "the runs contain only one action: record one that turns both ways, or actions in random order"
+    reach = max(float(np.ptp(swim.pose[:, :2], axis=0).max()) for swim in swims if len(swim.pose))
+    if reach < MOTION_LEAST_M:
+        return f"the robot moved {1e3 * reach:.1f} mm: record a run that swims (or check the fixes' unit)"
+    return ""
 
 
 def part_of(swims: Sequence[Segments], periods: int) -> list[Segments]:

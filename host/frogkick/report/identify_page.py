@@ -119,6 +119,11 @@ def _errors(outcome: Outcome) -> Section:
             "stroke of the same limb. The rows with drift estimated add each limb's offset, estimated from "
             "the run so far, to both models. All other rows and the verdict use the models alone."
         )
+    if outcome.ended_early:
+        text.append(
+            f"The search ended by its bound, after {outcome.evaluations} simulations of the training runs. "
+            "Effects may be missing."
+        )
     if outcome.dropped:
         text.append(
             f"{', '.join(outcome.dropped)} explained the training runs better, but not the test runs. So it "

@@ -10,9 +10,12 @@ import shlex
 from pathlib import Path
 
 import pytest
+import typer
+import typer.main
 from tests.conftest import REPOSITORY
 from tests.structure.test_repository import tracked
 
+from frogkick.cli.app import LazyGroup, app
 from frogkick.cli.main import run_command
 from frogkick.runs.recorded.table import read_table
 
@@ -74,7 +77,26 @@ def problem(line: str, makefile: str, capsys: pytest.CaptureFixture[str]) -> str
     shown = [word.split("=", 1)[0] for word in words if word.startswith("--") and word != "--"]
     known = set(re.findall(r"--[a-z][\w-]*", text))
     missing = [option for option in shown if option not in known]
-    return f"{line!r}: no such option: {', '.join(missing)}" if missing else ""
+    if missing:
+        return f"{line!r}: no such option: {', '.join(missing)}"
+    said = refusal([word for word in words if word != "..."])
+    return f"{line!r}: {said}" if said else ""
+
+
+def refusal(words: list[str]) -> str:
+    """Return what a command says against its words, or "". What is merely incomplete may stand in prose."""
+    command = typer.main.get_command(app)
+    context = command.make_context("frogkick", words[:1], resilient_parsing=True)
+    while words and isinstance(command, LazyGroup) and not words[0].startswith("-"):
+        command, words = command.get_command(context, words[0]), words[1:]
+    if isinstance(command, LazyGroup) or {"-h", "--help"} & set(words):
+        return ""
+    try:
+        command.make_context("frogkick", list(words))
+    except Exception as error:
+        incomplete = type(error).__name__ in ("MissingParameter", "BadOptionUsage", "NoArgsIsHelpError")
+        return "" if incomplete else str(getattr(error, "format_message", error.__str__)())
+    return ""
 
 
 def test_the_commands_of_every_readme_exist(capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,6 +128,11 @@ def test_the_readme_shows_the_two_commands_that_matter() -> None:
         ("frogkick library bild", "no such command"),
         ("frogkick codegen x.fkt --outt DIR", "no such option: --outt"),
         ("frogkick library build --bogus", "no such option: --bogus"),
+        ("frogkick tables build lib.h5 --kind nearst", "'nearst' is not one of"),
+        ("frogkick run --depth 9 --path line", "less than or equal to 4"),
+        ("frogkick log show a.h5 b.h5", "unexpected extra argument"),
+        ("frogkick run --battery-v", ""),
+        ("frogkick study verdicts --kind weeds ... --out outside", ""),
         ("frogkick COMMAND --help", ""),
         ("ls -l", ""),
         ("frogkick.toml --> don't parse", ""),

@@ -90,7 +90,7 @@ def _place(xy_m: Float64) -> Float64:
 
 
 def _periodogram(values: Float64, clock_s: Float64) -> tuple[float, float]:
-    """Largest share of a periodogram, less the share by chance, and its period, s."""
+    """Largest share of a least-squares periodogram (Lomb 1976), less that by chance, and its period, s."""
     if len(values) < PERIODOGRAM_COUNT_MIN:
         return 0.0, 0.0
     beat_s = float(np.median(np.diff(np.unique(clock_s))))

@@ -1,4 +1,4 @@
-"""Measured swims by one water that all robots share, while alloys and builds differ.
+"""Measured swims with one drag of the water for all robots, while alloys and builds differ.
 
 A speed is V(water, amplitude and time scale of its alloy's profile) times its build's offset, plus noise. The
 water's numbers are shared. Each alloy has an amplitude and a time scale, because a profile is the mean of
@@ -46,7 +46,7 @@ class Estimate:
 
 
 class Speeds:
-    """Speeds of swims by one water; columns are its numbers, two of each alloy, one of each build."""
+    """Speeds of swims; columns are both factors on the drag, two numbers of an alloy, one of a build."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Speeds:
             effects = [self.tables(at, alloy) for at in points]
             found[:, own] = self.simulation.speeds(effects, [self.gaits[k] for k in own])
         if not np.isfinite(found).all():
-            raise InputError("a measured swim cannot be simulated with some water between the priors")
+            raise InputError("a measured swim cannot be simulated with some drag of its prior")
         offsets = np.array([at[self.first_build :][self.build] for at in points])
         return np.asarray(found * np.exp(OFFSET_SD * offsets))
 
@@ -203,7 +203,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class SwimsFit:
-    """One water fitted to all swims.
+    """One drag fitted to all swims.
 
     Attributes:
         values: number -> value, low and high end of its interval of 90 %.
@@ -223,7 +223,7 @@ def fit_swims(
     also: Estimate | None = None,
     begin: Float64 | None = None,
 ) -> tuple[SwimsFit, Estimate]:
-    """Fit one water to all swims, and to all but each group, one Gauss-Newton step away.
+    """Fit one drag to all swims, and to all but each group, one Gauss-Newton step away.
 
     Args:
         speeds: of all swims.

@@ -1,4 +1,4 @@
-"""One water for measured swims and recorded runs: what it gives on each, and what stands between them.
+"""One drag of the water for measured swims and recorded runs: how well it fits both, and where they differ.
 
 Two numbers of the water are shared by all robots, see ``hierarchy``. They are chosen by theory and by leaving
 one alloy out. Recorded runs know the same water: all numbers of the calibrated robot are fitted together, of
@@ -192,8 +192,8 @@ class Row:
     """One choice of shared numbers.
 
     Attributes:
-        swims: by whose water -> the swims: "swims" alone, or "both".
-        runs: by whose water -> the recorded runs: "runs" alone, that of the "swims", or "both".
+        swims: what the drag was fitted to -> the swims: "swims" alone, or "both".
+        runs: what the drag was fitted to -> the recorded runs: "runs" alone, that of the "swims", or "both".
         unseen: alloys of which no swim is known, by the water of swims.
     """
 
@@ -238,14 +238,15 @@ class SharedStudy(StudyResult):
                     f"by {way} {1e3 * each['rmse_mps']:.2f} mm/s, {100.0 * each['inside']:.0f} % within 90 %"
                     for way, each in fit["left_out"].items()
                 )
-                lines.append(f"  swims, water of {whose}: {1e3 * fit['rmse_mps']:.2f} mm/s, left out {left}")
+                rmse_mm_s = 1e3 * fit["rmse_mps"]
+                lines.append(f"  swims, drag fitted to {whose}: {rmse_mm_s:.2f} mm/s, left out {left}")
                 lines += [
                     f"    {name} {value:.3g} ({low:.3g} to {high:.3g})"
                     for name, (value, low, high) in fit["values"].items()
                 ]
             for whose, fit in row["runs"].items():
                 errors = [PredictionError(**fit[key]) for key in ("fitted", "left_out")]
-                lines.append(f"  recorded runs, water of {whose}: {errors[0]}; left out {errors[1]}")
+                lines.append(f"  recorded runs, drag fitted to {whose}: {errors[0]}; left out {errors[1]}")
                 lines += [f"    {name} {value:.3g}" for name, value in fit["values"].items()]
             lines += [
                 f"  predicted at {each['egain_percent']:g} % and {each['frequency_hz']:g} Hz: "
@@ -266,7 +267,7 @@ class SharedStudy(StudyResult):
                 axes.barh(place + 0.4 - (k + 0.5) * height, errors, 0.9 * height, label=f"by {way}")
             axes.set_yticks(place, [row.name for row in self.rows])
             axes.set_xlabel("speed of groups left out, error, mm/s RMS")
-            axes.set_title("One water for all alloys and builds")
+            axes.set_title("One drag for all alloys and builds")
             style.legend_below(figure, axes)
         return figure
 

@@ -15,6 +15,7 @@ from made import START_S, WORN, make_run, make_swim, robot, term
 from scipy.stats import t as student
 from tests.conftest import count, from_ci
 
+from frogkick.cli.identify import _identified
 from frogkick.core.poses import PredictionError
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
@@ -206,6 +207,9 @@ def test_what_does_not_help_on_runs_kept_out_is_left_out(
     assert outcome.verdict == UNEXPLAINED and outcome.dropped == ("limb_wear rear_left",)
     assert not outcome.terms and outcome.tested.after == outcome.tested.before
     assert outcome.as_json()["dropped"] == ["limb_wear rear_left"]
+    assert "the test runs have only 14 periods" in _identified(outcome)
+    long = replace(outcome, tested=replace(outcome.tested, after=replace(outcome.tested.after, count=32)))
+    assert long.few_tested == "", "a long test run needs no such advice"
     helped = identify(worn[:1] + worn[1:], [make_swim([WORN], 9, 10)], robot())
     reported = helped.as_json()
     assert helped.verdict == FOUND and not helped.dropped

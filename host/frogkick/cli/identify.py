@@ -83,6 +83,7 @@ def _further_lines(outcome: Outcome) -> list[str]:
         lines.append(
             f"dropped, because the test runs are no more likely with them: {', '.join(outcome.dropped)}"
         )
+        lines += [outcome.few_tested] if outcome.few_tested else []
     return lines
 
 

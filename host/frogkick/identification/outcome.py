@@ -46,6 +46,7 @@ from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable, too_little
 from frogkick.identification.terms import FoundEffect, Interval, Term, catalogue
 from frogkick.identification.verdict import (
+    FEW_PERIODS,
     FOUND,
     FOUND_LAW,
     PARTLY,
@@ -128,6 +129,14 @@ class Outcome:
     def terms(self) -> tuple[Term, ...]:
         """Effects found."""
         return () if self.found is None else self.found.fitted.model.terms
+
+    @property
+    def few_tested(self) -> str:
+        """What to say of effects that were dropped after a short test; "" after a long one."""
+        count = self.tested.after.count
+        if count >= FEW_PERIODS:
+            return ""
+        return f"the test runs have only {count} periods: with {FEW_PERIODS} or more a small gain can be told"
 
     @cached_property
     def horizons(self) -> list[Horizon]:

@@ -129,6 +129,7 @@ def _errors(outcome: Outcome) -> Section:
             f"{', '.join(outcome.dropped)} explained the training runs better, but not the test runs. So it "
             "was not accepted into the model."
         )
+        text += [f"{outcome.few_tested.capitalize()}."] if outcome.few_tested else []
     caption = "Errors on the test runs before and after. The dashed line is the noise floor one period ahead."
     return Section("Error before and after", text, table, [(error_figure(outcome), caption)])
 

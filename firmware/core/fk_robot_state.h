@@ -20,13 +20,13 @@
 #define FK_PERIOD_MIN_US 500000u
 #define FK_PERIOD_MAX_US 5000000u
 #define FK_PLAN_TIME_MAX_US 1000000u
-#define FK_PLAN_TIME_WATCHDOG_US 600000u /* no search is to take longer, as the port's watchdog waits for 1 s; see below */
+#define FK_PLAN_TIME_WATCHDOG_US 600000u /* the longest time of a plan that can be set */
 #define FK_TRANSITIONS_LIMIT 10000000u
 #define FK_PLAN_FIXED_US 600u        /* part of a decision's time that does not depend on transitions; measured by: study chip */
-/* The longest time of one more transition on the chip when zig's clang builds the image, measured likewise with tables
- * that frogkick makes. In an image of GCC it is up to a quarter longer (tests/extra/test_arm_gcc.py): a plan of limited
- * time takes that much longer there, and the longest still ends before the watchdog resets the chip. All builds use one
- * number, so that all decide alike. fk_fit_transitions() has what holds for any table. */
+/* The longest time of one more transition on the chip when zig's clang builds the image, measured likewise with the route cost
+ * and tables that frogkick makes. In an image of GCC it is up to a quarter longer, and with the paper's cost it is 46 us for a
+ * path of 100 points: a plan of limited time takes that much longer there. All builds and costs use one number, so that all
+ * decide alike. fk_fit_transitions() has what holds for all of them, and for any table. */
 #define FK_TRANSITION_NS 26000u
 
 struct fk_robot {

@@ -13,7 +13,13 @@ from tests.extra.tools import chip_compiler, emitted_firmware
 from tests.planner import synthetic
 
 from frogkick.paths import shape
-from frogkick.planner.plan import PLAN_TIME_WATCHDOG_US, config_of, transitions_within
+from frogkick.planner.plan import (
+    PLAN_TIME_WATCHDOG_US,
+    PlanConfig,
+    config_of,
+    transitions_in,
+    transitions_within,
+)
 from frogkick.pool.chip.image import load_image, unwanted
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.robot import load_robot
@@ -129,6 +135,14 @@ def test_the_longest_plan_of_arm_gcc_ends_before_the_watchdog(tmp_path: Path, le
     print(f"{level}: {per_transition_us:.2f} us for a transition, with its share of all else")
     assert many.sum() > 5 and per_transition_us > 10.0
     assert transitions_within(PLAN_TIME_WATCHDOG_US) * per_transition_us < WATCHDOG_US
+    # The paper's cost, by the distance alone and in a place where it prunes nothing: far beside the path.
+    planner.configure(path, PlanConfig(angle_weight_per_rad=50.0, progress_weight=0.0))
+    far = np.array([[0.0, -900.0, -1.0, 0.0, 0.0, 0.0]], dtype=np.float32)
+    rows, cycles = planner.plan(far, np.array([3], dtype=np.int32))
+    per_transition_us = cycles[0] / 64.0 / rows["transitions"][0]
+    print(f"{level}: {per_transition_us:.2f} us with the paper's cost")
+    assert rows["transitions"][0] > 500 and per_transition_us > 45.0
+    assert transitions_in(tables) * per_transition_us < WATCHDOG_US
 
 
 def test_arm_gcc_finds_nothing_with_stricter_warnings(tmp_path: Path) -> None:

@@ -77,13 +77,14 @@ def image(states: int = 300, actions: int = 9, seed: int = 1) -> bytes:
     return pack(*transitions(states, actions, seed))
 
 
-def alike(states: int, levels: int, closer: bool = False, **changes: object) -> bytes:
-    """Return the image of a table whose nine actions all do the same in all states.
+def alike(states: int, levels: int, closer: bool = False, actions: int = 9, **changes: object) -> bytes:
+    """Return the image of a table whose actions all do the same in all states.
 
     Args:
         states: how many, all of one velocity: a look-up visits each of them.
         levels: of the search tree; a packer makes fewer.
         closer: they lie on a line instead, each further forward than the one before it; ``levels`` is 0.
+        actions: how many.
         changes: as of ``pack``.
     """
     velocities = np.zeros((states, 3))
@@ -92,7 +93,7 @@ def alike(states: int, levels: int, closer: bool = False, **changes: object) -> 
         if closer:
             velocities[:, 0] = np.linspace(-0.06, 0.06, states)
             patch.setattr(layout, "kd_order", lambda codes, _levels: (np.arange(len(codes)), ()))
-        motion = np.full((states, 9, 3), 1e-4)
+        motion = np.full((states, actions, 3), 1e-4)
         return pack(velocities, motion, np.zeros_like(motion), **changes)
 
 

@@ -27,7 +27,7 @@ TRANSITION_NS = 26000
 """Time of a decision on the chip: a fixed part, and at most so much for each transition (fk_robot.c)."""
 PLAN_TIME_WATCHDOG_US = 600_000
 """Limit of the search time in the firmware (fk_robot_state.h)."""
-_SEARCH_MOST_US, _TRANSITION_MOST_NS, _LEAF_MOST_NS, _STATE_MOST_NS = 925_000, 33_000, 3_400, 670
+_SEARCH_MOST_US, _TRANSITION_MOST_NS, _LEAF_MOST_NS, _STATE_MOST_NS = 925_000, 63_000, 3_400, 670
 _LOOK_UPS_BESIDE, _LOOK_UPS_WITHIN_US, _LOOK_UPS_WITHIN_MAX = 25, 500_000, 8
 """What holds on the chip whatever the table: see fk_fit.h."""
 

@@ -21,11 +21,12 @@ _FROM = {
     "front.building": ("Firmware", "build_firmware", "emit_c"),
     "front.gaits": ("Swept", "Validated", "sweep", "validate"),
     "front.identifying": ("Identification", "identify"),
+    "front.logs": ("Run", "load_run"),
     "front.planning": ("Plan", "Planner"),
     "front.replaying": ("Replayed", "replay"),
     "front.retuning": ("Retuning", "retune"),
     "front.robots": ("Camera", "Connection", "connect", "scan"),
-    "front.running": ("Run", "load_run", "run"),
+    "front.running": ("run",),
     "front.swimming": ("simulate",),
     "front.tables": ("Table", "build_library", "fit_table", "load_library", "load_table"),
     "library": ("Library",),
@@ -54,11 +55,12 @@ if TYPE_CHECKING:
     from frogkick.front.building import Firmware, build_firmware, emit_c
     from frogkick.front.gaits import Swept, Validated, sweep, validate
     from frogkick.front.identifying import Identification, identify
+    from frogkick.front.logs import Run, load_run
     from frogkick.front.planning import Plan, Planner
     from frogkick.front.replaying import Replayed, replay
     from frogkick.front.retuning import Retuning, retune
     from frogkick.front.robots import Camera, Connection, connect, scan
-    from frogkick.front.running import Run, load_run, run
+    from frogkick.front.running import run
     from frogkick.front.swimming import simulate
     from frogkick.front.tables import Table, build_library, fit_table, load_library, load_table
     from frogkick.library import Library

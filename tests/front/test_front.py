@@ -103,6 +103,13 @@ def test_importing_loads_nothing_that_takes_time() -> None:
     assert output.stdout.strip() == "set()"
 
 
+def test_who_reads_a_log_loads_no_camera_and_no_firmware() -> None:
+    late = "{'cv2', 'frogkick.vision', 'frogkick_codegen'}"
+    code = f"import sys, frogkick as fk; fk.load_run, fk.identify; print({late} & set(sys.modules))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout == "set()\n"
+
+
 def test_a_robot_is_one_line_and_a_picture(robot: fk.Robot, tmp_path: Path) -> None:
     assert repr(robot).startswith("Robot('frog2022': 4 limbs, 9 actions") and len(repr(robot)) < 120
     page = robot._repr_html_()

@@ -130,7 +130,7 @@ def import_(
     json: opt.Json = False,
 ) -> None:
     """Read recorded runs, repair or mark their faults, and write logs. No data is invented."""
-    from frogkick.front.running import import_runs
+    from frogkick.front.logs import import_runs
 
     runs = import_runs(data_dir, out, progress=True)
     columns = list(dict.fromkeys(c for row in runs for c in row if c not in ("clock_notes", "skipped")))

@@ -11,6 +11,7 @@ from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown
+from frogkick.front.logs import Run, run_of
 from frogkick.front.places import (
     built_firmware,
     plan_config,
@@ -19,7 +20,6 @@ from frogkick.front.places import (
     simulated_robot,
 )
 from frogkick.front.robots import connect, require_target
-from frogkick.front.running import Run, run_of
 from frogkick.front.tables import Table, default_tables, load_table, table_image
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.pool.native_robot import kept_wear

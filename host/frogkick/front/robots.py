@@ -11,8 +11,9 @@ from typing import Any
 from frogkick.core.arguments import typed
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.core.progress import Progress, shown
+from frogkick.front.logs import Run
 from frogkick.front.places import simulated_robot
-from frogkick.front.running import Run, run
+from frogkick.front.running import run
 from frogkick.front.tables import Table, robot_of_table
 from frogkick.link.auth import default_key_file, read_key
 from frogkick.link.frames import DELIMITER

@@ -1,0 +1,177 @@
+"""Runs that are over: their logs in memory and in files, and what can be done with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from frogkick.core.arguments import typed
+from frogkick.core.errors import EXTRAS, InputError, require
+from frogkick.core.files import require_writable
+from frogkick.core.progress import Progress, shown
+from frogkick.front.html import page_of
+from frogkick.runs.export_csv import columns_of, export_csv
+from frogkick.runs.record import limb_events, lost_of
+from frogkick.runs.recorded.importer import import_recorded
+from frogkick.runs.recorded.importer import load_run as load_log
+from frogkick.runs.runlog import RunLog, Tracking
+from frogkick.runs.runlog_file import write_run
+from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+
+@typed
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(RunLog):
+    """One closed-loop run: its log, how well the path was followed, and what can be done with it.
+
+    An ``InputError`` is raised for a number that needs a decision or a fix which the run does not have, for a
+    file that cannot be written, and for a package that is not installed.
+
+    Attributes:
+        robot_id: id of the robot.
+        source: name of the file or program that the run comes from.
+        fixes, decisions, strokes: the columns of the log, see the reference of run logs.
+        path, then: the path from the first decision on, and those that took over.
+        truth: the true motion in a simulated pool; None for a real robot.
+        measured, planner, made: numbers about the run, the planner's settings, and the provenance of the log.
+        checked: number of decisions that agreed, if robot and host both decided.
+    """
+
+    checked: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def log(self) -> RunLog:
+        """The run itself: fixes, decisions, strokes, path, and the true motion of a simulated pool."""
+        return self
+
+    @cached_property
+    def tracking(self) -> Tracking:
+        """Distances to the path (m), progress (m/s), counts."""
+        return tracking_of_log(self)
+
+    @property
+    def ended(self) -> str:
+        """The reason why it ended, in words."""
+        return self.notes
+
+    @cached_property
+    def actions(self) -> tuple[str, ...]:
+        """The action of each decision, by name; "?" if it is not known."""
+        return tuple(self.decided())
+
+    def save(self, file: Path | str) -> None:
+        """Write the log (HDF5), which ``load_run`` reads back."""
+        write_run(file, self)
+
+    def summary(self) -> Summary:
+        """Return the run in numbers, for logs of any source; unknown values are None."""
+        return summary(self)
+
+    def compare(self, other: Run | Path | str) -> Comparison:
+        """Compare this run with another, or its file, each from its first decision on."""
+        return compare_runs(self, run_of(other))
+
+    def export_csv(self, folder: Path | str) -> list[Path]:
+        """Write a CSV for each group of columns, units in their names, and ``run.json``; return the files."""
+        return [Path(folder) / name for name in export_csv(self, Path(folder))]
+
+    def export_mcap(self, file: Path | str) -> dict[str, int]:
+        """Write an MCAP file for Foxglove, ``run.mcap``, and its layout, ``run.layout.json``.
+
+        Returns:
+            The number of messages of each topic.
+        """
+        require("MCAP", *EXTRAS["mcap"])
+        from frogkick.runs.export_mcap import export_mcap
+
+        return export_mcap(self, Path(file))
+
+    def to_pandas(self) -> dict[str, DataFrame]:
+        """Return a pandas table for each group of columns of ``export_csv``: fixes, decisions, ...
+
+        Units are in the columns' names. Missing values are NaN.
+        """
+        require("Tables of pandas", *EXTRAS["pandas"])
+        from pandas import DataFrame
+
+        return {name: DataFrame(columns) for name, columns in columns_of(self)}
+
+    def plot(self) -> Figure:
+        """Return a matplotlib figure (``savefig`` writes it): track, distance, actions, prediction errors."""
+        from frogkick.report.run_figure import run_figure
+
+        return run_figure(self, f"{self.robot_id}: {self.source}")
+
+    def play(self, speed: float = 1.0) -> None:
+        """Play the run in the browser until its end, the page's button or Ctrl-C; it starts with the page.
+
+        Args:
+            speed: above 0; 2: twice real time.
+        """
+        from frogkick.front.viewing import played
+
+        played(self, speed)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``run``."""
+        from frogkick.front.mission import clearance_m, hold_json, then_json
+
+        learned = {"lost": lost_of(self), "limb_events": limb_events(self)}
+        then = {"then": then_json(self), "hold": hold_json(self)}
+        rest = {"wall_clearance_m": clearance_m(self), "ended": self.ended}
+        return {**self.tracking.as_json(), **self.checked, **learned, **then, **rest}
+
+    def __repr__(self) -> str:
+        name = "no path" if self.path is None else self.path.name
+        try:
+            followed = f"mean distance {1e3 * self.tracking.mean_distance_m:.2f} mm"
+        except InputError:  # a log may be of a robot without fixes
+            followed = "not seen swimming"
+        return (
+            f"Run({self.robot_id!r} along {name}: {len(self.decisions)} decisions, {followed}, {self.ended})"
+        )
+
+    def _repr_html_(self) -> str:
+        try:
+            return page_of(repr(self), self.as_json(), self.plot() if len(self.decisions) > 1 else None)
+        except InputError:
+            return page_of(repr(self), {"ended": self.ended})
+
+
+@typed
+def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = False) -> list[dict[str, Any]]:
+    """Write recorded runs of the paper as logs. Faults are repaired or marked; no data is invented.
+
+    Args:
+        data_dir: folder of runs and paths, such as ``line1.csv`` and ``linep1.csv``, or one with ``control``.
+        out: folder for the logs.
+        progress: of the runs: True for a bar, or a function of (done, all).
+
+    Returns:
+        A row of numbers for each run, with ``file``; for a run without a path ``run`` and ``skipped``.
+    """
+    require_writable(Path(out), folder=True)
+    with shown(progress, "import") as tell:
+        return import_recorded(data_dir, out, tell)
+
+
+@typed
+def load_run(file: Path | str) -> Run:
+    """Read a run: a log of frogkick (.h5), or a recorded run of the paper (``line1.csv`` beside its path).
+
+    Raises:
+        InputError: the file is missing, incomplete, or not a run.
+    """
+    return Run(**vars(load_log(file)))
+
+
+def run_of(given: Run | Path | str) -> Run:
+    """A run in memory as it is, or read from its file; see ``load_run``."""
+    return given if isinstance(given, Run) else load_run(given)

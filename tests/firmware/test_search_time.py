@@ -1,7 +1,12 @@
-"""The longest searches: nothing is pruned, or each look-up visits every state of a table."""
+"""The longest that the chip computes.
+
+Searches in which nothing is pruned, or each look-up visits every state of a table. Checks of pulses of which
+as many are remembered as a robot may ask for.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +16,12 @@ from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
+from frogkick.estimator.wear import ON
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, look_up_most_ns, on_robot, plan, transitions_in
 from frogkick.pool.virtual_robot import VirtualRobot
-from frogkick.robot import load_robot
+from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_check import ChipPlanner
 from frogkick.runs.session import Session
 from frogkick.tables.image import open_image
@@ -31,9 +37,9 @@ def alike(states: int, levels: int, closer: bool = False) -> bytes:
     return synthetic.alike(states, levels, closer, action_rows=ACTIONS)
 
 
-def bench(folder: Path, image: bytes) -> Path:
+def bench(folder: Path, image: bytes, robot: Robot = ROBOT) -> Path:
     write_bytes(folder / "t.fkt", image)
-    return firmware.build("bench", folder / "t.fkt", ROBOT, folder / "out").image
+    return firmware.build("bench", folder / "t.fkt", robot, folder / "out").image
 
 
 @from_ci
@@ -93,3 +99,33 @@ def test_a_table_of_too_many_states_is_refused(tmp_path: Path) -> None:
     assert transitions_in(open_image(more)) < len(ACTIONS)
     with pytest.raises(InputError, match=r"^the table has 32000 states: a look-up may take the chip 35 ms"):
         bench(tmp_path, more)
+
+
+@from_ci
+@pytest.mark.parametrize(
+    ("at_once", "window_s", "masks", "limbs"), [(2, 7.499, (0b0011, 0b1100), 4), (8, 4.499, (0xFF, 0), 8)]
+)
+def test_the_longest_check_of_a_pulse_is_in_time(
+    at_once: int, window_s: float, masks: tuple[int, int], limbs: int, tmp_path: Path
+) -> None:
+    """As many rests in the duty window, and limbs at once, as the build takes; it learns; its log is full."""
+    guard = replace(ROBOT.guard, limbs_at_once_max=at_once, duty_window_s=window_s)
+    times = {"pulse_us": 20_000, "second_delay_us": 20_000}
+    wear = synthetic.wear_curves(limbs, 3, 1, 0.1)
+    rows = [("A", *masks), ("R", 0, 0)]
+    image = synthetic.pack(
+        *synthetic.transitions(40, 2, 1), action_rows=rows, limbs=limbs, limb_wear=wear, **times
+    )
+    port = VirtualRobot(bench(tmp_path, image, replace(ROBOT, guard=guard)), limbs)
+    session, strokes = Session(port), 400
+    session.handshake(open_image(image))
+    session.set_parameters({"LEARN": ON})
+    session.request("ARM")
+    for _ in range(strokes):
+        session.step(session.time_s + 1.6)
+        session.request("STROKE", {"action": 0})
+    session.step(session.time_s + 1.0)
+    status, fired = session.request("STATUS"), masks[0].bit_count() + masks[1].bit_count()
+    assert (status["pulses_refused"], session.take("REFUSED")) == (0, [])
+    assert sum(edge.level for edge in session.edges) == strokes * fired
+    assert session.ask("LOG", {"offset": 0})["lost"], "records are dropped for new ones"

@@ -247,7 +247,7 @@ def identify(
         InputError: the user's effects cannot be used, no period of the runs can be judged, no test run has
             one, or no run's clock can be relied on.
     """
-    periods = max(sum(len(swim.start_s) for swim in train), 1)
+    periods = max(sum(len(swim.start_s) for swim in train if not swim.problem), 1)
     with limited(EVALUATIONS_MOST * periods) as budget:
         outcome = _identified(train, test, robot, own, progress, measured, laws, budget)
     evaluations = budget.spent // periods

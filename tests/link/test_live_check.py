@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -33,10 +34,8 @@ STATE = link_layout().state
 
 @functools.cache
 def image_with_one_entry_changed() -> bytes:
-    """The small table, but for the transition that its second decision takes; its CRC-32 is right."""
-    recording = rig.swim("pool", PATH, 2.0)
-    entry = (recording.decisions[1].nearest_state, recording.decisions[1].action)
-    ours = rig.tables()
+    """The small table, but for one of the transitions that it takes most often; its CRC-32 is right."""
+    ours, bits = rig.tables(), dict[tuple[int, int], bytes]()
     for at in range(ours.sections.models, ours.sections.length):
         for bit in range(8):
             image = rig.changed_image(at, bytes([ours.image[at] ^ 1 << bit]))
@@ -44,9 +43,15 @@ def image_with_one_entry_changed() -> bytes:
                 rows = np.argwhere((open_image(image).transitions != ours.transitions).any(axis=2))
             except InputError:
                 continue
-            if [tuple(row) for row in rows] == [entry]:
-                return image
-    raise AssertionError("no bit of the image holds that entry alone")
+            if len(rows) == 1:
+                bits.setdefault((int(rows[0, 0]), int(rows[0, 1])), image)
+    taken = Counter(
+        (each.nearest_state, each.action) for each in rig.swim("pool", PATH, 20 * PERIOD_S).decisions
+    )
+    for entry, count in taken.most_common():
+        if entry in bits and count > 1:
+            return bits[entry]
+    raise AssertionError("no bit of the image holds an entry alone that it takes twice")
 
 
 @pytest.fixture

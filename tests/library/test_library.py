@@ -397,7 +397,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     info = library_info(tmp_path / "13.0.h5")
     assert info["with_history"] == (library.previous_actions[:, 0] >= 0).sum() == SWUM - 1
     other = replace(ROBOT, period_s=2.0)
-    with pytest.raises(InputError, match=r"1\.425 s apart: build one for 2 s"):
+    with pytest.raises(InputError, match=r"a period of 1\.425 s: build one for 2 s"):
         truncate_library(tmp_path / "13.0.h5", other)
 
 

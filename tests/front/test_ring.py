@@ -29,8 +29,8 @@ from frogkick.report import identify_page, ring_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.ring import Ring, adapt, draw_wear, run_demo
 from frogkick.robot import load_robot
-from frogkick.runs.record import lost_of
 from frogkick.runs.runlog_file import read_run
+from frogkick.runs.summary import lost_of
 from frogkick.tables.image import read_image
 
 SWUM_S = float(count(17, 17, 14))

@@ -28,9 +28,10 @@ from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import Decision
 from frogkick.runs.lab_session import lab_session
 from frogkick.runs.live_log import CUT_OFF, LiveLog, logged, part_of
-from frogkick.runs.record import BATTERY_V, Recording, RunOptions, lost_of
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import read_run, write_run
+from frogkick.runs.summary import BATTERY_V, lost_of
 
 PERIOD_S = rig.PERIOD_S
 OPTIONS = RunOptions(PlanConfig(), True, 1.2 * PERIOD_S)

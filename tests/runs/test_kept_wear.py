@@ -25,9 +25,10 @@ from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_log import replay_log
 from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import LOST_FIELDS, LiveCheck
-from frogkick.runs.record import Recording, RunOptions, lost_at_start
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.runlog_file import write_run
 from frogkick.runs.session import Session
+from frogkick.runs.summary import lost_at_start
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build
 

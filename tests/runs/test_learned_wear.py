@@ -16,8 +16,8 @@ from frogkick.cli.app import app
 from frogkick.core.errors import InputError
 from frogkick.estimator.wear import NOISE, WearFilter
 from frogkick.front.tables import default_tables
-from frogkick.runs.record import LEARN, limb_events
 from frogkick.runs.runlog import Strokes
+from frogkick.runs.summary import LEARN, limb_events
 from frogkick.tables.image import Tables, read_image
 from frogkick.tables.layout import LOST_MAX
 

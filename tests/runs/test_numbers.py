@@ -9,9 +9,8 @@ import pytest
 
 from frogkick.core.errors import InputError
 from frogkick.paths import Path, line, wrap_angle
-from frogkick.runs.record import along_path
 from frogkick.runs.runlog import Decisions, Fixes, RunLog, Strokes, Truth
-from frogkick.runs.summary import residual, true_poses_at
+from frogkick.runs.summary import along_paths, residual, true_poses_at
 
 PERIOD_S = 1.4
 
@@ -99,7 +98,9 @@ def straight(length_m: float = 0.4) -> Path:
 def test_along_path_of_a_track_beside_a_line() -> None:
     time_s = np.linspace(2.0, 12.0, 201)
     x = np.linspace(0.0, 0.3, 201)
-    mean_m, p95_m, progress_mps = along_path(straight(), time_s, np.column_stack([x, np.full(201, 0.02)]))
+    mean_m, p95_m, progress_mps = along_paths(
+        [(-np.inf, straight())], time_s, np.column_stack([x, np.full(201, 0.02)])
+    )
     assert mean_m == pytest.approx(0.02, abs=1e-7)
     assert p95_m == pytest.approx(0.02, abs=1e-7)
     assert progress_mps == pytest.approx(0.03, rel=0.02)  # to the nearest of 100 points
@@ -110,12 +111,12 @@ def test_along_path_percentile_and_backward_progress() -> None:
     side = np.zeros(101)
     side[:11] = 0.1  # a tenth of the time far away
     x = np.linspace(0.3, 0.1, 101)
-    mean_m, p95_m, progress_mps = along_path(straight(), time_s, np.column_stack([x, side]))
+    mean_m, p95_m, progress_mps = along_paths([(-np.inf, straight())], time_s, np.column_stack([x, side]))
     assert mean_m == pytest.approx(0.1 * 11 / 101, rel=1e-5)
     assert p95_m == pytest.approx(0.1, rel=1e-5)
     assert progress_mps == pytest.approx(-0.02, rel=0.03)
 
 
 def test_along_path_of_nearly_nothing_is_zero() -> None:
-    assert along_path(straight(), np.array([1.0]), np.zeros((1, 3))) == (0.0, 0.0, 0.0)
-    assert along_path(straight(), np.array([]), np.zeros((0, 3))) == (0.0, 0.0, 0.0)
+    assert along_paths([(-np.inf, straight())], np.array([1.0]), np.zeros((1, 3))) == (0.0, 0.0, 0.0)
+    assert along_paths([(-np.inf, straight())], np.array([]), np.zeros((0, 3))) == (0.0, 0.0, 0.0)

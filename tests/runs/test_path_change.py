@@ -22,12 +22,12 @@ from frogkick.runs.export_csv import columns_of
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.live_view import LiveView
 from frogkick.runs.path_change import TRIES, NextPath, PathChanges, PathSender
-from frogkick.runs.record import Recording, RunOptions, distances_m
+from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.replay import replay, replay_on_host
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import read_run, write_run
 from frogkick.runs.session import LinkError, Session
-from frogkick.runs.summary import bends_of, compare_runs, summary
+from frogkick.runs.summary import bends_of, compare_runs, distances_m, summary
 
 STATUS = link_layout().status
 BESIDE = replace(line(), name="beside", y_m=line().y_m + np.float32(0.01))

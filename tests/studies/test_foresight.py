@@ -14,7 +14,7 @@ from tests.runs import rig
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.paths import from_waypoints, shape
-from frogkick.runs.record import along_path
+from frogkick.runs.summary import along_paths
 from frogkick_studies.foresight import SAMPLES, OfflinePlan, nearest_at, plan_offline, swim
 
 REST = (0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ def test_a_short_path_is_planned_as_trying_everything_finds() -> None:
             poses = swim(tables, actions, REST)
             times_s = np.arange(len(poses), dtype=np.float64)
             if path.nearest_index(poses[-1:, :2])[0] >= len(path.x_m) - 1:
-                mean_m = along_path(path, times_s, poses)[0]
+                mean_m = along_paths([(-np.inf, path)], times_s, poses)[0]
                 best[count] = min(best.get(count, np.inf), mean_m)
     assert best
     for plan in found:

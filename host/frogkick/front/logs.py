@@ -14,12 +14,19 @@ from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown
 from frogkick.front.html import page_of
 from frogkick.runs.export_csv import columns_of, export_csv
-from frogkick.runs.record import limb_events, lost_of
 from frogkick.runs.recorded.importer import import_recorded
 from frogkick.runs.recorded.importer import load_run as load_log
 from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
-from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
+from frogkick.runs.summary import (
+    Comparison,
+    Summary,
+    compare_runs,
+    limb_events,
+    lost_of,
+    summary,
+    tracking_of_log,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -26,10 +26,10 @@ from frogkick.pool.native_robot import kept_wear
 from frogkick.robot import Robot, in_a_row
 from frogkick.runs.chip_log import FetchedLog, LogReplay, read_log, write_log
 from frogkick.runs.chip_log import replay_log as replay_records
-from frogkick.runs.record import lost_at_start
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run
 from frogkick.runs.session import Session
+from frogkick.runs.summary import lost_at_start
 from frogkick_codegen.firmware import require_tools
 
 

@@ -53,13 +53,9 @@ from frogkick.robot import Robot
 from frogkick.runs.closed_loop import require_seed, require_time, run_session
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.live_log import part_of
-from frogkick.runs.record import (
-    BATTERY_V,
-    Recording,
-    RunOptions,
-    made_of,
-)
+from frogkick.runs.record import Recording, RunOptions, made_of
 from frogkick.runs.session import Session
+from frogkick.runs.summary import BATTERY_V
 
 if TYPE_CHECKING:
     pass

@@ -14,9 +14,8 @@ from frogkick.report.run_figure import run_figure
 from frogkick.report.style import ESTIMATED, NOMINAL, PREDICTED, legend_below, new_figure
 from frogkick.ring import Adaptation, Ring, RingRun
 from frogkick.runs.live_view import fan_of
-from frogkick.runs.record import lost_of
 from frogkick.runs.runlog import RunLog
-from frogkick.runs.summary import bends_of, tracking_of_log
+from frogkick.runs.summary import bends_of, lost_of, tracking_of_log
 from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.firmware import CHIPS
 

@@ -14,9 +14,8 @@ from frogkick.core.arrays import Float64
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
 from frogkick.runs.path_change import HOLD_LIMIT_M, spans_of
-from frogkick.runs.record import distances_m, learned_limbs
 from frogkick.runs.runlog import RunLog
-from frogkick.runs.summary import residual, track_of, true_poses_at
+from frogkick.runs.summary import distances_m, learned_limbs, residual, track_of, true_poses_at
 from frogkick.tables.layout import LOST_MAX
 
 

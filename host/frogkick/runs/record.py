@@ -1,13 +1,12 @@
-"""The settings and the record of a run, its log, and how well it followed its path."""
+"""The settings of a run, and the record that it fills and its log is made of."""
 
 from __future__ import annotations
 
 import hashlib
-import math
 import pathlib
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from typing import Any
@@ -25,7 +24,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.decision import NOTHING_LOST, Decision, LiveCheck, RobotEvent
+from frogkick.runs.decision import Decision, LiveCheck, RobotEvent
 from frogkick.runs.path_change import NextPath, hold_spans
 from frogkick.runs.runlog import (
     DecisionFlag,
@@ -37,23 +36,12 @@ from frogkick.runs.runlog import (
     Tracking,
     Truth,
 )
+from frogkick.runs.summary import LEARN, LOST, along_paths
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
-BATTERY_V = "battery_v"
-"""Key of ``RunLog.measured``: lowest battery voltage, measured by a person before the run."""
-
-LEARN, LOST = "learn", "lost_"
-"""Key in ``RunLog.made`` of a run that estimated wear: its limbs. Prefix in ``measured``: of their shares."""
-
 CANNOT_FOLLOW = "cannot follow"
 """The beginning of the reason why a run with a lost limb ended."""
-
-LOST_FOR = 5
-"""Number of a limb's strokes in a row after which it must be estimated as lost, so that it is named so."""
-
-BELIEVED_AGAIN = 0.5
-"""Lost share below which a limb that was named as lost works again."""
 
 UNKNOWN = (-1, -1)
 """Values of ``heard_*`` for a fix that was not received, and of ``rested_*`` for a stroke that was fired."""
@@ -278,68 +266,6 @@ def _ended(ended: str, lost: Mapping[str, float]) -> str:
     return ended
 
 
-def learned_limbs(run: RunLog) -> list[str]:
-    """Limbs of a run that estimated wear, in the order of the column ``lost`` of its decisions."""
-    return run.made[LEARN].split(", ") if LEARN in run.made else []
-
-
-def lost_at_start(run: RunLog) -> tuple[int, ...]:
-    """(8,) estimated share of each limb's contribution lost at the start of the run, 0 to 32767."""
-    learned = run.decisions.extra.get("lost")
-    return NOTHING_LOST if learned is None or not len(learned) else tuple(int(code) for code in learned[0])
-
-
-def lost_of(run: RunLog) -> dict[str, float] | None:
-    """Limb -> estimated share of its contribution lost at the end of the run; None without an estimate."""
-    learned = run.decisions.extra.get("lost")
-    if learned is None or not len(learned):
-        return None
-    return dict(zip(learned_limbs(run), (learned[-1] / LOST_MAX).tolist(), strict=False))
-
-
-def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
-    """When a limb was named as worn or lost, and when it worked again; None: the run did not estimate wear.
-
-    Returns:
-        In order of time, each with ``time_s`` of the decision, ``limb``, ``event`` and the lost ``share``.
-        Events: ``worn``: a share above 0; ``lost``: at least 0.8 of its contribution, which LOST_FOR of
-        its strokes in a row have shown: that is rare for a limb that misfires; ``works``: less than 0.5 after
-        it was lost, or 0 after it was worn.
-    """
-    if "lost" not in run.decisions.extra:
-        return None
-    limbs = learned_limbs(run)
-    codes = np.asarray(run.decisions.extra["lost"])[:, : len(limbs)]
-    named, seems_lost = dict.fromkeys(limbs, "works"), dict.fromkeys(limbs, 0)
-    events: list[dict[str, Any]] = []
-    for time_s, row, mask in zip(run.decisions.time_s, codes, _fired_before(run), strict=True):
-        for index, (limb, code) in enumerate(zip(limbs, row, strict=True)):
-            share = float(code) / LOST_MAX
-            shown = mask >> index & 1
-            seems_lost[limb] = seems_lost[limb] + shown if code >= LIMB_GONE else 0
-            if seems_lost[limb] >= LOST_FOR:
-                event = "lost"
-            elif named[limb] == "lost" and share >= BELIEVED_AGAIN:
-                continue
-            else:
-                event = "worn" if share and named[limb] != "lost" else "works"
-            if event != named[limb]:
-                named[limb] = event
-                events.append({"time_s": float(time_s), "limb": limb, "event": event, "share": share})
-    return events
-
-
-def _fired_before(run: RunLog) -> list[int]:
-    """Mask of the limbs whose pulses ended between each decision and the one before it."""
-    masks = [0] * len(run.decisions)
-    ends_s = run.strokes.time_s + run.strokes.pulse_s
-    until = np.searchsorted(run.decisions.time_s, ends_s, side="right").tolist()
-    for decision, mask in zip(until, run.strokes.limb_mask.tolist(), strict=True):
-        if decision < len(masks):
-            masks[decision] |= mask
-    return masks
-
-
 def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]:
     """Provenance of a run for ``RunLog.made``. ``began_unix_s`` is the wall clock at the run's time 0."""
     program = pathlib.Path(sys.argv[0] if sys.argv else "")
@@ -378,52 +304,3 @@ def config_of_log(run: RunLog) -> PlanConfig:
             )
         values[entry.name] = int(value) if is_integer else value
     return PlanConfig(**values)
-
-
-def along_path(path: Path, time_s: np.ndarray, poses_world: np.ndarray) -> tuple[float, float, float]:
-    """Mean and 95th percentile of the distance to a path (m), and the progress along it (m/s).
-
-    Fewer than two poses (n, 3) or (n, 2) give zeros.
-    """
-    return along_paths([(-np.inf, path)], time_s, poses_world)
-
-
-def along_paths(
-    paths: Sequence[tuple[float, Path]],
-    time_s: np.ndarray,
-    poses_world: np.ndarray,
-    until_s: float = math.inf,
-) -> tuple[float, float, float]:
-    """The same for paths that follow each other, each with the time from which on it is followed.
-
-    Progress is counted until ``until_s``, because a robot that holds at an end makes none.
-    """
-    if len(time_s) < 2:
-        return 0.0, 0.0, 0.0
-    distance_m = distances_m(paths, time_s, poses_world)
-    advance_m = 0.0
-    under_way_s = time_s[: max(2, int(np.searchsorted(time_s, until_s)))]
-    for path, rows in _followed(paths, under_way_s):
-        first, last = path.along_m[path.nearest_index(poses_world[[rows[0], rows[-1]], :2])]
-        advance_m = advance_m + (last - first)
-    progress_mps = advance_m / (under_way_s[-1] - under_way_s[0])
-    return float(distance_m.mean()), float(np.percentile(distance_m, 95)), float(progress_mps)
-
-
-def distances_m(
-    paths: Sequence[tuple[float, Path]], time_s: np.ndarray, poses_world: np.ndarray
-) -> np.ndarray:
-    """(n,) distance of each pose to the path that was followed then, m; arguments as for ``along_paths``."""
-    distance_m = np.zeros(len(time_s))
-    for path, rows in _followed(paths, time_s):
-        distance_m[rows] = path.distance_m(poses_world[rows, :2])
-    return distance_m
-
-
-def _followed(paths: Sequence[tuple[float, Path]], time_s: np.ndarray) -> Iterator[tuple[Path, np.ndarray]]:
-    """Each path that was followed, in order, and the rows of the times at which it was."""
-    newest = np.searchsorted([from_s for from_s, _ in paths], time_s, side="right") - 1
-    for index, (_, path) in enumerate(paths):
-        rows = np.flatnonzero(newest == index)
-        if len(rows):
-            yield path, rows

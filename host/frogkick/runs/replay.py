@@ -27,10 +27,10 @@ from frogkick.runs.decision import (
     events_of_frame,
 )
 from frogkick.runs.path_change import PathSender
-from frogkick.runs.record import LEARN, lost_at_start
 from frogkick.runs.recorded.importer import clock_problem
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session, fix_values
+from frogkick.runs.summary import LEARN, lost_at_start
 from frogkick.tables.image import Tables
 
 LEAD_IN_S = 1.0  # robot time before the recorded run's time zero, for path and parameters

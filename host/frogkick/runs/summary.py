@@ -1,4 +1,4 @@
-"""Numbers of a run from its log, errors of its predictions, and the comparison of two runs.
+"""Numbers of a run from its log: path following, errors of predictions, wear; the comparison of two runs.
 
 A run without decisions or poses raises ``InputError``; see ``track_of``.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,9 +19,23 @@ from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
 from frogkick.estimator.estimator import OUTLIERS_AGREE_M, OUTLIERS_AGREE_MPS
 from frogkick.link.layout import link_layout
+from frogkick.paths import Path
+from frogkick.runs.decision import NOTHING_LOST
 from frogkick.runs.path_change import spans_of
-from frogkick.runs.record import BATTERY_V, along_paths
 from frogkick.runs.runlog import RunLog, Tracking
+from frogkick.tables.layout import LIMB_GONE, LOST_MAX
+
+BATTERY_V = "battery_v"
+"""Key of ``RunLog.measured``: lowest battery voltage, measured by a person before the run."""
+
+LEARN, LOST = "learn", "lost_"
+"""Key in ``RunLog.made`` of a run that estimated wear: its limbs. Prefix in ``measured``: of their shares."""
+
+LOST_FOR = 5
+"""Number of a limb's strokes in a row after which it must be estimated as lost, so that it is named so."""
+
+BELIEVED_AGAIN = 0.5
+"""Lost share below which a limb that was named as lost works again."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +148,51 @@ def track_of(run: RunLog) -> tuple[Float64, Float64, str]:
     return np.asarray(time_s[during]), np.asarray(poses[during], dtype=np.float64), of
 
 
+def along_paths(
+    paths: Sequence[tuple[float, Path]],
+    time_s: np.ndarray,
+    poses_world: np.ndarray,
+    until_s: float = math.inf,
+) -> tuple[float, float, float]:
+    """Mean and 95th percentile of the distance to the followed paths (m), and the progress along them (m/s).
+
+    Args:
+        paths: in order, each with the time from which on it is followed; -inf for the first.
+        time_s: (n,) of the poses; fewer than two give zeros.
+        poses_world: (n, 3) or (n, 2).
+        until_s: end of the progress, because a robot that holds at the end of a path makes none.
+    """
+    if len(time_s) < 2:
+        return 0.0, 0.0, 0.0
+    distance_m = distances_m(paths, time_s, poses_world)
+    advance_m = 0.0
+    under_way_s = time_s[: max(2, int(np.searchsorted(time_s, until_s)))]
+    for path, rows in _followed(paths, under_way_s):
+        first, last = path.along_m[path.nearest_index(poses_world[[rows[0], rows[-1]], :2])]
+        advance_m = advance_m + (last - first)
+    progress_mps = advance_m / (under_way_s[-1] - under_way_s[0])
+    return float(distance_m.mean()), float(np.percentile(distance_m, 95)), float(progress_mps)
+
+
+def distances_m(
+    paths: Sequence[tuple[float, Path]], time_s: np.ndarray, poses_world: np.ndarray
+) -> np.ndarray:
+    """(n,) distance of each pose to the path that was followed then, m; arguments as for ``along_paths``."""
+    distance_m = np.zeros(len(time_s))
+    for path, rows in _followed(paths, time_s):
+        distance_m[rows] = path.distance_m(poses_world[rows, :2])
+    return distance_m
+
+
+def _followed(paths: Sequence[tuple[float, Path]], time_s: np.ndarray) -> Iterator[tuple[Path, np.ndarray]]:
+    """Each path that was followed, in order, and the rows of the times at which it was."""
+    newest = np.searchsorted([from_s for from_s, _ in paths], time_s, side="right") - 1
+    for index, (_, path) in enumerate(paths):
+        rows = np.flatnonzero(newest == index)
+        if len(rows):
+            yield path, rows
+
+
 @dataclass(frozen=True)
 class Bends:
     """The curvature of a path compared with the turns of the robot on it."""
@@ -232,6 +292,68 @@ def tracking_of_log(run: RunLog) -> Tracking:
         limit_violations=int(held["limit_violations"]) if "limit_violations" in held else None,
         plan_ms_p99=number("plan_ms_p99"),
     )
+
+
+def learned_limbs(run: RunLog) -> list[str]:
+    """Limbs of a run that estimated wear, in the order of the column ``lost`` of its decisions."""
+    return run.made[LEARN].split(", ") if LEARN in run.made else []
+
+
+def lost_at_start(run: RunLog) -> tuple[int, ...]:
+    """(8,) estimated share of each limb's contribution lost at the start of the run, 0 to 32767."""
+    learned = run.decisions.extra.get("lost")
+    return NOTHING_LOST if learned is None or not len(learned) else tuple(int(code) for code in learned[0])
+
+
+def lost_of(run: RunLog) -> dict[str, float] | None:
+    """Limb -> estimated share of its contribution lost at the end of the run; None without an estimate."""
+    learned = run.decisions.extra.get("lost")
+    if learned is None or not len(learned):
+        return None
+    return dict(zip(learned_limbs(run), (learned[-1] / LOST_MAX).tolist(), strict=False))
+
+
+def limb_events(run: RunLog) -> list[dict[str, Any]] | None:
+    """When a limb was named as worn or lost, and when it worked again; None: the run did not estimate wear.
+
+    Returns:
+        In order of time, each with ``time_s`` of the decision, ``limb``, ``event`` and the lost ``share``.
+        Events: ``worn``: a share above 0; ``lost``: at least 0.8 of its contribution, which LOST_FOR of
+        its strokes in a row have shown: that is rare for a limb that misfires; ``works``: less than 0.5 after
+        it was lost, or 0 after it was worn.
+    """
+    if "lost" not in run.decisions.extra:
+        return None
+    limbs = learned_limbs(run)
+    codes = np.asarray(run.decisions.extra["lost"])[:, : len(limbs)]
+    named, seems_lost = dict.fromkeys(limbs, "works"), dict.fromkeys(limbs, 0)
+    events: list[dict[str, Any]] = []
+    for time_s, row, mask in zip(run.decisions.time_s, codes, _fired_before(run), strict=True):
+        for index, (limb, code) in enumerate(zip(limbs, row, strict=True)):
+            share = float(code) / LOST_MAX
+            shown = mask >> index & 1
+            seems_lost[limb] = seems_lost[limb] + shown if code >= LIMB_GONE else 0
+            if seems_lost[limb] >= LOST_FOR:
+                event = "lost"
+            elif named[limb] == "lost" and share >= BELIEVED_AGAIN:
+                continue
+            else:
+                event = "worn" if share and named[limb] != "lost" else "works"
+            if event != named[limb]:
+                named[limb] = event
+                events.append({"time_s": float(time_s), "limb": limb, "event": event, "share": share})
+    return events
+
+
+def _fired_before(run: RunLog) -> list[int]:
+    """Mask of the limbs whose pulses ended between each decision and the one before it."""
+    masks = [0] * len(run.decisions)
+    ends_s = run.strokes.time_s + run.strokes.pulse_s
+    until = np.searchsorted(run.decisions.time_s, ends_s, side="right").tolist()
+    for decision, mask in zip(until, run.strokes.limb_mask.tolist(), strict=True):
+        if decision < len(masks):
+            masks[decision] |= mask
+    return masks
 
 
 _NO_ANSWER = 1

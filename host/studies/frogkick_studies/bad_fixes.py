@@ -30,7 +30,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.pool import Camera, Pool
 from frogkick.robot import Robot
 from frogkick.runs.decision import DecisionTwin
-from frogkick.runs.record import along_path
+from frogkick.runs.summary import along_paths
 from frogkick.tables.image import Tables, open_image
 
 LINE_FIXES_MAX = 8
@@ -325,7 +325,7 @@ def _run(setting: _Setting, task: _Task) -> Swim:
     during = time_s >= begun_s
     if during.any():
         poses = np.array(pool.truth.pose_world).reshape(-1, 3)[during]
-        swim.distance_m = along_path(path, time_s[during], poses)[0]
+        swim.distance_m = along_paths([(-np.inf, path)], time_s[during], poses)[0]
     return swim
 
 

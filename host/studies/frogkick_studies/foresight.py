@@ -27,7 +27,7 @@ from frogkick.front.tables import table_image
 from frogkick.paths import Path
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
 from frogkick.report import style
-from frogkick.runs.record import along_path
+from frogkick.runs.summary import along_paths
 from frogkick.tables.image import Tables, read_image
 from frogkick_studies import StudyResult
 from frogkick_studies.configs import Foresight
@@ -122,7 +122,7 @@ def _offline_plan(
 ) -> OfflinePlan:
     poses = swim(tables, actions, start_world)
     times_s = np.arange(len(poses)) * (tables.period_us * 1e-6 / SAMPLES)
-    mean_m, _, progress_mps = along_path(path, times_s, poses)
+    mean_m, _, progress_mps = along_paths([(-np.inf, path)], times_s, poses)
     return OfflinePlan(actions, mean_m, progress_mps, poses)
 
 

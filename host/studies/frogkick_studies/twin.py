@@ -23,9 +23,9 @@ from frogkick.core.progress import shown
 from frogkick.library import quantise
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import Robot, load_robot
-from frogkick.runs.record import along_path
 from frogkick.runs.recorded.importer import RUN_NAME, clock_problem, path_file, read_recorded
 from frogkick.runs.runlog import RunLog
+from frogkick.runs.summary import along_paths
 from frogkick_codegen.firmware import require_tools
 from frogkick_studies import StudyResult
 from frogkick_studies.configs import Twin
@@ -183,7 +183,7 @@ def _recorded(name: str, run: RunLog) -> Recorded:
     turned = wrap_angle(resting[:, 2] - resting[0, 2])
     heading = float(wrap_angle(resting[0, 2] + np.median(turned)))
     start = (float(np.median(resting[:, 0])), float(np.median(resting[:, 1])), heading)
-    mean_m, _, progress_mps = along_path(path, fixes.time_s[moving], poses[moving])
+    mean_m, _, progress_mps = along_paths([(-np.inf, path)], fixes.time_s[moving], poses[moving])
     return Recorded(PathTask(name, path, start), choices_of(run), mean_m, progress_mps)
 
 

@@ -199,7 +199,7 @@ def test_a_robot_that_stays_away_is_told_of(
 ) -> None:
     session = lab_session(there.wire)
     session.handshake(rig.tables())
-    for name, value in (("_reconnect_s", 0.3), ("_scan_s", 0.2)):
+    for name, value in (("reconnect_s", 0.3), ("_scan_s", 0.2)):
         monkeypatch.setattr(there.wire, name, value, raising=False)
     there.away()
     with pytest.raises(WireError, match=r"(went away|dropped out) for 0.3 s: .*(is not there|advertises)"):

@@ -38,8 +38,8 @@ SCAN_S = 10.0
 LOOK_ROUND_S = 1.0  # for a second robot of the same name: robots advertise at least every 0.15 s
 CONNECT_S = 10.0
 CONNECT_TRIES = 3
-RECONNECT_S = 20.0
 FIXES_WAITING = 2
+"""Number of position fixes that wait for the radio; an older one is dropped."""
 _AGAIN_S = 0.05
 _Queue = asyncio.Queue[tuple[bytes, bool]]  # frames, and whether the radio acknowledges them
 _PART_MIN = 20  # bytes that every Bluetooth device takes at once
@@ -94,17 +94,16 @@ class BleWire(Wire):
         self,
         place: str,
         scan_s: float = SCAN_S,
-        reconnect_s: float = RECONNECT_S,
         greeting: bytes = DELIMITER,
     ) -> None:
         """Find the robot by its advertised name or its address, within ``scan_s``, and connect.
 
-        It is looked for ``reconnect_s`` after it dropped out. ``greeting`` is sent at each connection; it
-        ends what a partial frame left in the robot's receiver.
+        ``greeting`` is sent at each connection; a delimiter ends what a partial frame has left in the robot's
+        receiver.
         """
         super().__init__()
         self.name = f"ble:{place}"
-        self._place, self._scan_s, self._reconnect_s = place, scan_s, reconnect_s
+        self._place, self._scan_s = place, scan_s
         self._greeting = greeting
         self.address: str | None = None  # the robot's on this computer
         self.part_bytes = 0  # bytes in one write, as negotiated
@@ -158,7 +157,7 @@ class BleWire(Wire):
             except Exception as raised:
                 error = raised
             if self.connections > connections:
-                deadline_s = time.monotonic() + self._reconnect_s
+                deadline_s = time.monotonic() + self.reconnect_s
             if error is None:
                 continue
             tries -= 1
@@ -167,7 +166,7 @@ class BleWire(Wire):
             if is_definite(error, is_first) or (is_first and tries <= 0):
                 raise why from error
             if not is_first and time.monotonic() > deadline_s:
-                raise WireError(f"{self.name} dropped out for {self._reconnect_s:g} s: {why}") from error
+                raise WireError(f"{self.name} dropped out for {self.reconnect_s:g} s: {why}") from error
             await asyncio.sleep(_AGAIN_S)
 
     async def _find(self) -> BLEDevice:

@@ -177,7 +177,7 @@ def hello(conversation: int = 0) -> dict[str, Value]:
     return {"protocol_version": link_layout().protocol_version, "conversation": conversation}
 
 
-def path_frames(points: Sequence[tuple[float, float, float]]) -> list[Arguments]:
+def path_frames(points: Sequence[Sequence[float]]) -> list[Arguments]:
     """Split a path of 2 to 100 points (x_m, y_m, tangent_rad), world frame, into PATH commands.
 
     Raises:

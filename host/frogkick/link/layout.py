@@ -15,7 +15,7 @@ from frogkick.core.errors import FrogkickError
 
 _FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "char16": "16s"}
 
-_TRIES = 5
+_TRIES = 5  # of a command
 
 Value = int | float | str
 Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
@@ -40,7 +40,11 @@ def ask_again(
     then: str,
     timeout_s: float = 1.0,
 ) -> list[dict[str, Value]]:
-    """Send commands that may be repeated, and again without an answer; ``failure`` where none ever comes."""
+    """Send commands that are safe to repeat, up to five times until all are answered; return the answers.
+
+    Raises:
+        FrogkickError: an answer never came. It is a ``failure``, whose text ends with ``then``.
+    """
     lost: FrogkickError | None = None
     for _ in range(_TRIES):
         try:
@@ -88,7 +92,7 @@ class Payload:
         return struct.calcsize(self.format)
 
     def values_of(self, content: builtins.bytes) -> dict[str, Value]:
-        """The values of the fixed part, with which a content begins."""
+        """The fixed fields' values, from the start of a payload's bytes."""
         values = struct.unpack_from(self.format, content)
         return {
             field.name: value.rstrip(b"\x00").decode("ascii", "replace")
@@ -160,8 +164,8 @@ def _name_of(numbers: dict[str, int], value: int) -> str:
     return next((name for name, number in numbers.items() if number == value), str(value))
 
 
-ANSWER_BIT = 0x80
-EVENT_BIT = 0x40
+ANSWER_BIT = 0x80  # added to a command's type to give its answer's
+EVENT_BIT = 0x40  # in the type of every event
 AUTH_BIT = 0x20
 """Set in the type of a command that carries an authentication code."""
 

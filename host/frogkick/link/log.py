@@ -137,9 +137,8 @@ def fetch_log(
     """Fetch a robot's log, during a run or at rest. The robot does not change.
 
     Args:
-        known: an earlier fetch from the same robot, of which the result has the newer records too, in another
-            stretch where records in between were overwritten. None if the robot was without supply in
-            between, as it has started another log then.
+        known: an earlier fetch from the same robot, which the result continues: in another stretch if records
+            in between were overwritten. None if the robot was without supply since, which starts another log.
         progress: called with bytes fetched and all bytes.
     """
     stretches = list(known.stretches) if known is not None else []

@@ -109,9 +109,9 @@ class PtyLine:
             for end in ends or ():
                 os.close(end)
 
-    def drop(self, for_s: float = 0.0) -> None:
+    def drop(self) -> None:
+        """Pull the cable out and plug it in again."""
         self.pull_out()
-        time.sleep(for_s)
         self.plug_in()
 
     def _live(self) -> None:
@@ -119,7 +119,7 @@ class PtyLine:
             while not self._closing.is_set():
                 if not self._turn():
                     time.sleep(0.0005)  # whoever wants the lock gets it
-        except Exception as error:  # whoever waits for the end of this has to hear of it
+        except Exception as error:  # for the owner of the line, who looks at it
             self.error = error
 
     def _turn(self) -> bool:

@@ -12,11 +12,9 @@ import threading
 import time
 from typing import Any
 
-from frogkick.core.errors import require
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import BAUD, Delivery, Wire, WireError
 
-RECONNECT_S = 20.0
 _AGAIN_S = 0.1
 _READ_S = 0.05
 _WRITE_S = 1.0
@@ -27,18 +25,14 @@ class SerialWire(Wire):
 
     window = 1  # a chip that erases flash receives no more than a buffer meanwhile
 
-    def __init__(
-        self, port: str, baud: int = BAUD, reconnect_s: float = RECONNECT_S, greeting: bytes = DELIMITER
-    ) -> None:
+    def __init__(self, port: str, baud: int = BAUD, greeting: bytes = DELIMITER) -> None:
         """Open a port (``/dev/ttyACM0``, ``COM3``) with ``baud`` bits per second.
 
-        It is looked for ``reconnect_s`` after it went away. ``greeting`` is sent at each connection; it ends
-        what noise may have left in the robot's receiver.
+        ``greeting`` is sent at each connection; a delimiter ends what noise has left in the robot's receiver.
         """
         super().__init__()
         self.name = f"serial:{port}"
-        self._port, self._baud, self._reconnect_s, self._greeting = port, baud, reconnect_s, greeting
-        require("serial:", "serial")
+        self._port, self._baud, self._greeting = port, baud, greeting
         self._serial = importlib.import_module("serial")
         self._closing = threading.Event()
         self._write_lock = threading.Lock()
@@ -91,14 +85,14 @@ class SerialWire(Wire):
         line, self._line = self._line, None
         with contextlib.suppress(self._serial.SerialException, OSError):
             line.close()
-        deadline_s = time.monotonic() + self._reconnect_s
+        deadline_s = time.monotonic() + self.reconnect_s
         while not self._closing.wait(_AGAIN_S):
             try:
                 self._line = self._open()
                 return True
             except WireError as error:
                 if time.monotonic() > deadline_s:
-                    self.lost(WireError(f"{self.name} went away for {self._reconnect_s:g} s: {error}"))
+                    self.lost(WireError(f"{self.name} went away for {self.reconnect_s:g} s: {error}"))
                     return False
         return False
 

@@ -45,7 +45,7 @@ def upload(
             f"the table has {len(image)} bytes, the robot has room for {here['slot_bytes']}: make a smaller "
             "one (tables build --budget-kib), or build firmware with this one"
         )
-    crc = zlib.crc32(image[16:])
+    crc = zlib.crc32(image[16:])  # as in the image's header, whose first 16 bytes it leaves out
     if int(here["running_crc"]) == crc:
         return Uploaded(0, len(image), crc)
     begin: dict[str, Value] = {"length": len(image)}

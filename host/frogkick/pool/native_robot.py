@@ -86,10 +86,17 @@ class NativeRobot(SimulatedPort):
         """Load the library, with the core, the planner and a table, and start the core.
 
         Args:
+            library: for a robot with as many ``limbs``.
             keep_calls: fill ``calls``.
             heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
                 lets them rest first.
+            flash: ``flash_content()`` of such a robot; None: erased.
             learned: its persistent wear estimate (``kept_wear``); b"": none.
+
+        Raises:
+            InputError: ``flash`` is of another robot.
+            FrogkickError: the library is not of this project, or its core refuses its table.
+            OSError: the library cannot be loaded.
         """
         self._ffi, self._core = load(library)
         self._blocks: list[tuple[Any, int]] = []

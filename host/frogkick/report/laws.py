@@ -55,8 +55,8 @@ DEPENDS: Mapping[str, tuple[str, str]] = {
     "left_mps": ("speed", "speed"), "turn_radps": ("speed", "turning"),
     "strokes": ("time", "the number of strokes"),
 }  # fmt: skip
-"""Variable of a formula -> what runs must contain to show a law with it (a key of ``laws.NEEDS``), and the
-variable in words. The first one in a law is what it mainly depends on."""
+"""Variable of a formula -> a key of NEEDS, and the variable in words. A law mainly depends on the first of
+these that it contains."""
 
 
 def depends_on(law: Law) -> str:

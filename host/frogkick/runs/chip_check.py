@@ -29,6 +29,7 @@ from frogkick.tables.layout import ACTIONS_MAX, LIMBS_MAX
 DEPTHS = (1, 2, 3, 4)
 PULSE_TOLERANCE_S = 2e-6
 PLAN_TIMEOUT_S = 30.0  # four levels of 32 actions take long
+CYCLES_PER_MS = 64_000
 
 
 @dataclass
@@ -184,7 +185,7 @@ class _Trial:
             status = int(answer["status"])
             if status == 0:
                 self.report.plan_cycles[str(depth)] = cycles
-                self.report.plan_ms[str(depth)] = round(cycles / 64e3, 4)
+                self.report.plan_ms[str(depth)] = round(cycles / CYCLES_PER_MS, 4)
         self._check("plans at every depth", len(self.report.plan_ms) == len(DEPTHS))
 
     def contents(self) -> None:
@@ -202,7 +203,6 @@ class _Trial:
         )
 
 
-CYCLES_PER_MS = 64_000
 _BEYOND = (1.0, 3.0, 30.0, 1000.0)
 """Multiples of the table's range for velocities, and of the path's surroundings for poses, in turn."""
 
@@ -254,7 +254,7 @@ class ChipPlanner:
                 break
         self._free = self.chip.symbol("fk_bss_end") + 7 & ~7
         names = ("fk_tables_t", "fk_path_t", "fk_plan_config_t", "fk_state_t", "fk_plan_t")
-        self._tables, self._path, self._config, self._state, self._plan = map(self.room, names)
+        self._tables, self._path, self._config, self._state, self._plan = map(self._room, names)
         words = [self.chip.flash.word(self.chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
         status, self.open_cycles = self.chip.call("fk_tables_open", *words, self._tables)
         if status != 0:
@@ -263,10 +263,10 @@ class ChipPlanner:
             )
         self._settings = np.zeros((), dtype=self._types["fk_plan_config_t"])
 
-    def room(self, name: str, count: int = 1) -> int:
-        """Address of unused RAM for ``count`` structures of a type."""
+    def _room(self, name: str) -> int:
+        """Address of unused RAM for a structure."""
         address = self._free
-        self._free += count * self._types[name].itemsize + 7 & ~7
+        self._free += self._types[name].itemsize + 7 & ~7
         return address
 
     def configure(self, path: PathLike, config: PlanConfig) -> None:

@@ -86,8 +86,8 @@ def parameters(config: PlanConfig) -> dict[str, float]:
 def configure(session: Session, config: PlanConfig, learn: bool) -> tuple[int, ...]:
     """Send a robot a planner configuration, and whether it estimates the wear of its limbs.
 
-    A robot that does continues from the shares that it remembers. HELD resets all but these, so that a twin
-    can start from the same state.
+    A robot that estimates it goes on from the shares that it remembers. HELD first drops all but these, so
+    that a twin can start from the same state.
 
     Returns:
         (8,) the shares that it remembers, 0 to 32767, as in ``Decision``.

@@ -25,7 +25,7 @@ from frogkick.tables.image import Tables
 
 FIRST_S = 2.0
 _BESIDE = (0.01, -0.005, 0.05)
-"""Pose of the start of the path that takes over for a third of the decisions."""
+"""x (m), y (m) and heading (rad) by which the path that takes over for a third of the decisions is moved."""
 
 _RATES_HZ = (2.0, 15.0, 60.0)
 _WORN_SHARE = 20_000

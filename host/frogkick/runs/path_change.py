@@ -17,6 +17,7 @@ from frogkick.link.frames import Frame, path_frames
 from frogkick.link.layout import link_layout
 from frogkick.paths import Path
 from frogkick.paths.hold import LAP_POINTS, LEAD, Hold, hold_at_end, hold_from_pose
+from frogkick.planner.plan import path_rows
 from frogkick.runs.decision import STALE, Decision
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session
@@ -27,9 +28,9 @@ HOLD_LIMIT_M = 0.1
 AGAIN_POINTS = 2
 """After this many points of its second lap the robot is sent new laps, and continues in their first one."""
 OFF, ANEW_AFTER = 0.65, 2
-"""A robot that is this far from its entry, in radii of the circle, gets another one from where it is: this
-many decisions after the entry at the earliest. One that cannot follow that one either gets no third: it
-follows the circle from aside."""
+"""A robot that is OFF radii of the circle away from its entry onto the circle gets another one from where it
+is, ANEW_AFTER decisions later at the earliest. If it cannot follow that one either, it gets no third, and
+follows the circle from beside it."""
 MOVING_MPS = 0.005
 """At a lower speed the robot's heading is its course."""
 SHIFT_GAIN = 0.7
@@ -60,8 +61,7 @@ class PathSender:
     def begin(self, path: Path) -> None:
         """Send the first part; a path that is still being sent is abandoned."""
         self._path = path
-        columns = (path.x_m.tolist(), path.y_m.tolist(), path.tangent_rad.tolist())
-        self._parts = list(path_frames(list(zip(*columns, strict=True))))
+        self._parts = path_frames(path_rows(path).T.tolist())
         self._sent = self._tries = 0
         self._send()
 

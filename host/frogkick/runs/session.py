@@ -18,6 +18,7 @@ from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Arguments, Value, link_layout
 from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
+from frogkick.planner.plan import path_rows
 from frogkick.tables.image import Tables
 
 STEP_S = 0.002
@@ -282,8 +283,7 @@ class Session:
 
     def send_path(self, path: Path) -> None:
         """Send the robot its path."""
-        columns = (path.x_m.tolist(), path.y_m.tolist(), path.tangent_rad.tolist())
-        for values, rows in path_frames(list(zip(*columns, strict=True))):
+        for values, rows in path_frames(path_rows(path).T.tolist()):
             self.request("PATH", values, rows)
 
     def set_parameters(self, values: dict[str, float]) -> None:

@@ -22,14 +22,16 @@ from frogkick.core.progress import tell_line
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.sources import Frame
 from frogkick.vision.tracker import Tracker
-from frogkick.vision.video import Video
+from frogkick.vision.video import Video, jpeg
 
 POLL_S = 0.002
 KEEP_S = 2.0
-AGE_MAX_S = 10.0
-FIELD_M = 1000.0
-_LINE_MAX = 200
+"""Age beyond which a fix is dropped, because the robot would refuse it."""
+AGE_MAX_S, FIELD_M = 10.0, 1000.0
+"""Limits of a line's age, and of its x and y."""
+_LINE_MAX = 200  # bytes without a line's end after which they are taken for a line
 AWAKE_S = 0.1
+"""Longest time between two looks at a camera that counts as its silence: this program may have slept."""
 STALL_S = 1.0
 """A live camera that gives no picture for longer is considered to hang."""
 EVERY_S = 0.1
@@ -102,16 +104,10 @@ class LineFixes(FixBuffer):
     and lines that begin with # are skipped. After the end of the file no more fixes arrive.
     """
 
-    def __init__(
-        self,
-        file: int,
-        name: str,
-        clock: Callable[[], float] = time.monotonic,
-        tell: Callable[[str], None] = tell_line,
-    ) -> None:
-        """Start to read from a descriptor; ``tell`` gets a line at its end, in the reading thread."""
-        super().__init__(name, clock)
-        self._file, self._tell = file, tell
+    def __init__(self, file: int, name: str) -> None:
+        """Start to read from a file descriptor."""
+        super().__init__(name, time.monotonic)
+        self._file = file
         threading.Thread(target=self._read, name=name, daemon=True).start()
 
     def _none_came(self, timeout_s: float) -> str:
@@ -146,7 +142,7 @@ class LineFixes(FixBuffer):
             self._ended = True
             self._bell.ring()
         if self._seen:
-            self._tell(f"{self._name} has ended after {self._seen} position fixes: no more will come from it")
+            tell_line(f"{self._name} has ended after {self._seen} position fixes: no more will come from it")
 
     def _more(self) -> bytes:
         # Unbuffered: a waiting thread would hold a buffered stream's lock, and the program could not end.
@@ -354,5 +350,4 @@ def _jpeg(image: UInt8) -> bytes:
     if width > WIDTH_MOST_PX:
         size = (WIDTH_MOST_PX, round(height * WIDTH_MOST_PX / width))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    _, made = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    return made.tobytes()
+    return jpeg(image, QUALITY)

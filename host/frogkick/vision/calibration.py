@@ -143,13 +143,12 @@ class Calibration:
         below, height = self.camera_m[:2], self.camera_m[2]
         return np.asarray(below + (xy_m - below) * (height - to_m) / (height - from_m))
 
-    def pixels(self, xy_m: Float64, height_m: float | None = None) -> Float64:
-        """(n, 2) undistorted pixels of (n, 2) points of the pool at an apparent height; None: the tag's."""
-        height = self.tag.apparent_height_m if height_m is None else height_m
-        return apply(self.homography, self._shift(xy_m, height, self.plane_apparent_m))
+    def pixels(self, xy_m: Float64) -> Float64:
+        """(n, 2) undistorted pixels of (n, 2) points of the pool at the tag's apparent height."""
+        return apply(self.homography, self._shift(xy_m, self.tag.apparent_height_m, self.plane_apparent_m))
 
     def pool(self, undistorted_px: Float64, height_m: float | None = None) -> Float64:
-        """The inverse of ``pixels``: (n, 2) m in the pool's frame."""
+        """(n, 2) points of the pool, m, seen at (n, 2) pixels; at an apparent height, None: the tag's."""
         height = self.tag.apparent_height_m if height_m is None else height_m
         inverse = np.asarray(np.linalg.inv(self.homography), dtype=np.float64)
         on_plane = apply(inverse, undistorted_px)

@@ -18,6 +18,7 @@ from frogkick.core.errors import InputError
 from frogkick.vision.tags import tag_cells, tag_margin
 
 Thing = tuple[Float32, float, float, float, float]
+"""A print: (n, n) cells (0 black, 1 white), x_m, y_m, heading_rad, side (m) without the outermost ring."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class Scene:
 
     @cached_property
     def still(self) -> Float32:
-        """The pool without waves, light, noise: tiles, walls, a floor beyond."""
+        """(height, width) grey levels of the pool alone: tiles, walls, a floor beyond."""
         width, height = self.view.image_px
         cols, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         rays = self.view.rays(np.stack([cols.ravel(), rows.ravel()], axis=1))
@@ -142,7 +143,7 @@ class Scene:
         Args:
             pose: x_m, y_m, heading_rad of the tag, the heading towards its printed top; None: no tag.
             rng: for noise, waves, glare.
-            extra: further prints, as (cells, x_m, y_m, heading_rad, size_m without their outermost ring).
+            extra: further prints.
 
         Returns:
             (height, width) grey levels.

@@ -20,7 +20,7 @@ from frogkick.core.interrupts import Bell
 from frogkick.vision.board import read_pictures
 
 FROZEN_FRAMES = 8
-"""A live camera never gives this number of equal pictures in a row: its noise makes each another."""
+"""As many pictures that all equal the one before them come from no live camera, whose noise differs."""
 SCHEMES = ("http://", "https://", "rtsp://")
 """How the address of a network camera begins."""
 STREAM_OPEN_MS, STREAM_READ_MS = 5000, 1500
@@ -75,10 +75,10 @@ def live_frames(camera: cv2.VideoCapture, what: str) -> Iterator[Frame]:
 
 
 def stream_frames(url: str) -> Iterator[Frame]:
-    """Frames of a network camera, until the caller stops. They count from their arrival here.
+    """Frames of a network camera, until the caller stops. Their capture time is that of their arrival here.
 
-    A thread takes each as it comes: one that waited in a buffer would be taken for a newer one. Only the
-    newest counts.
+    A thread reads each as it comes, because one that waits in a buffer would get too late a time. Of those
+    that came meanwhile, the caller gets the newest.
     """
     what = f"camera {url}"
     camera = _opened(url, what)
@@ -185,12 +185,11 @@ def _opened(where: int | str, what: str) -> cv2.VideoCapture:
             options += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, STREAM_READ_MS]
             capture = cv2.VideoCapture(where, cv2.CAP_FFMPEG, options)
             hint = "is its address right, and does it give MJPEG or H.264?"
-        elif isinstance(where, int):
-            capture = cv2.VideoCapture(where)
-            hint = "is it plugged in, and may this user read it?"
         else:
             capture = cv2.VideoCapture(where)
             hint = "is it a video that this OpenCV can decode?"
+            if isinstance(where, int):
+                hint = "is it plugged in, and may this user read it?"
     finally:
         log.setLogLevel(level)
     if not capture.isOpened():

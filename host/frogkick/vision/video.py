@@ -87,7 +87,7 @@ class Video:
 
 STREAM, PICTURE = "/camera.mjpg", "/picture.jpg"
 QUALITY = 95
-"""Of the JPEG: at less, its blocks shift the edges of a small tag."""
+"""Of the JPEG, 0 to 100: at less, its blocks shift the edges of a small tag."""
 _BOUNDARY = "picture"
 
 
@@ -108,7 +108,7 @@ def streamed(picture: Callable[[], UInt8], rate_hz: float, port: int = 0) -> Ite
     class Handler(QuietHandler):
         def do_GET(self) -> None:
             if self.path == PICTURE:
-                self.answer("image/jpeg", _jpeg(picture()))
+                self.answer("image/jpeg", jpeg(picture()))
             elif self.path == STREAM:
                 self.answer(f"multipart/x-mixed-replace; boundary={_BOUNDARY}", None)
                 self._stream()
@@ -118,7 +118,7 @@ def streamed(picture: Callable[[], UInt8], rate_hz: float, port: int = 0) -> Ite
         def _stream(self) -> None:
             due_s = time.monotonic()
             while not closing.wait(max(0.0, due_s - time.monotonic())):
-                content = _jpeg(picture())
+                content = jpeg(picture())
                 head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(content)}\r\n\r\n"
                 self.wfile.write(head.encode() + content + b"\r\n")
                 due_s = max(due_s + 1.0 / rate_hz, time.monotonic())  # what is late is left out
@@ -130,6 +130,7 @@ def streamed(picture: Callable[[], UInt8], rate_hz: float, port: int = 0) -> Ite
             closing.set()
 
 
-def _jpeg(image: UInt8) -> bytes:
-    _, made = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+def jpeg(image: UInt8, quality: int = QUALITY) -> bytes:
+    """A picture, grey or BGR, as JPEG."""
+    _, made = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return made.tobytes()

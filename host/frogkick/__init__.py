@@ -2,8 +2,9 @@
 
 ``import frogkick as fk`` gives the names below; each is loaded when it is first used.
 
-What goes wrong by what was given is a ``FrogkickError`` of one line. It may name an option of a command:
-``--budget-kib`` is the argument ``budget_kib``, ``--tables`` the argument ``table``.
+Every error that an argument, a file or a robot can cause is a ``FrogkickError`` with a message of one line.
+The message may name an option of a command: ``--budget-kib`` is the argument ``budget_kib``, ``--tables`` the
+argument ``table``.
 """
 
 from __future__ import annotations

@@ -126,8 +126,9 @@ def test_another_period_is_cut_from_what_was_recorded(built: Path, tmp_path: Pat
         truncate_library(built, replace(ROBOT, period_s=5.01))
     with pytest.raises(InputError, match="nothing is recorded"):
         truncate_library(tmp_path / "other.h5", other)
-    with pytest.raises(InputError, match="another period only"):
-        truncate_library(built, replace(ROBOT, egain_percent=20.0))
+    for other in (replace(ROBOT, egain_percent=20.0), replace(ROBOT, effects=({"name": "yaw_drag"},))):
+        with pytest.raises(InputError, match="another period only"):
+            truncate_library(built, other)
 
 
 def test_info_says_what_is_inside(built: Path) -> None:

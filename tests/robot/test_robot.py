@@ -219,6 +219,12 @@ def test_a_file_on_a_base_has_its_keys_but_those_of_its_own(tmp_path: Path) -> N
             load_robot(file)
 
 
+def test_a_profiles_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "strokes.toml").write_bytes(b"# \xe9")
+    with pytest.raises(InputError, match=r"profiles file 'strokes.toml' is not UTF-8 text \(byte 2\)"):
+        parse_robot('base = "frog2022"\nprofiles_file = "strokes.toml"\n', "mine", tmp_path)
+
+
 def test_a_table_on_a_base_keeps_the_base_s_other_keys(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('base = "frog2022"\n[frame]\ndrag_normal = 0.9\n[limb_default]\nlength_m = 0.03\n')

@@ -161,9 +161,9 @@ def build_library(
 ) -> Library:
     """Simulate ``states`` initial velocities times all actions, write the library, and return it.
 
-    What is said of ``frogkick.build_library`` holds. The file's bytes depend on robot, states, seed, sampling
-    and record_s only. After Ctrl-C finished parts stay in ``OUT.parts``, and the same build resumes from
-    them. Transitions that fail are listed in the file, with NaN in their rows.
+    For the other arguments and errors see ``frogkick.build_library``. The file's bytes depend on robot,
+    states, seed, sampling and record_s only. After Ctrl-C finished parts stay in ``OUT.parts``, and the same
+    build resumes from them. Transitions that fail are listed in the file, with NaN in their rows.
 
     Args:
         keep_others: raise if ``OUT.parts`` belongs to another build, instead of deleting it.
@@ -327,4 +327,5 @@ def _moves_like(robot: Robot) -> tuple[object, ...]:
         robot.egain_percent,
         robot.profile_frequency_hz,
         robot.water_density_kg_per_m3,
+        robot.effects,
     )

@@ -27,6 +27,7 @@ from frogkick.library.transitions import RESTED, Failed, Task, Transitions, rigi
 from frogkick.planner.plan import config_of, plan_batch
 from frogkick.robot import Mirror, Robot, mirror_of
 from frogkick.tables.image import Tables, open_image
+from frogkick.tables.layout import STATES_MAX
 
 TASK_ROBOTS = 2 * WIDTH
 """Robots of a task, some 0.4 s of work, for fine progress and a quick end on Ctrl-C."""
@@ -291,7 +292,6 @@ def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> l
     return chosen
 
 
-STATES_MAX = 65535  # a table image counts its states in 16 bits
 SAMPLINGS = ("box", "visited", "planned")
 
 _PLANNED_BATCHES_MAX = 1000

@@ -71,7 +71,7 @@ def hold_from_pose(hold: Hold, radius_m: float, pose: Float64, area_m: Float64) 
     The arc and the laps may each bend to the left or to the right (a Dubins path with two radii).
 
     Args:
-        hold: a robot that should have come to this one is too far from its entry.
+        hold: the hold that the robot should be on, from whose entry it is too far away.
         radius_m: radius of the circle, m.
         pose: (3,) x and y (m) and course (rad) of the robot, world.
         area_m: (2, 2) least and largest x and y of the robot's centre, world, m.

@@ -169,10 +169,10 @@ class Path:
         Raises:
             InputError: the pose is not three finite numbers.
         """
-        x_m, y_m, heading_rad = (float(value) for value in self._pose(pose_world))
+        x_m, y_m, heading_rad = self._pose(pose_world).tolist()
         turn = heading_rad - float(self.tangent_rad[0])
         first_x, first_y = rotate(turn, float(self.x_m[0]), float(self.y_m[0]))
-        return float(x_m) - first_x, float(y_m) - first_y, turn
+        return x_m - first_x, y_m - first_y, turn
 
     def place(self, pose_world: Sequence[float] | ArrayLike) -> Path:
         """The path with its origin and x axis moved to a pose (x m, y m, heading rad).

@@ -133,7 +133,7 @@ def ellipse(
 
 @typed
 def circle(length_m: float = CIRCLE_LENGTH_M, points: int = POINTS_MAX) -> Path:
-    """The paper's circle of this diameter, an ellipse of aspect 1."""
+    """A circle of this diameter: ``ellipse`` of aspect 1, clockwise (the paper's run counter-clockwise)."""
     return ellipse(length_m, aspect=1.0, points=points)
 
 

@@ -1,1 +1,1 @@
-"""The onboard planner's twin: table images, and Algorithm 1 with the same bits as the C."""
+"""The planner in Python: it searches a table for the next action, with the same bits as the C."""

@@ -2,9 +2,9 @@
 
 Level by level all branches that are carried are expanded by every action, and the ``WIDTH`` best of these
 are carried on. A branch is as good as what it would cost if it ended there: its cost so far and the terminal
-cost. To glide beyond a wall has the walls' weight at the last level alone, and before that the weight of the
-distance from the route. All branches that are compared have the same length. These rules decide, in the C and
-here:
+cost. Gliding beyond a wall has the walls' weight only at the last level, and at the levels before it the
+weight of the distance from the route. All branches that are compared have the same length. In the C and here,
+these rules decide:
 
 - Of equal values the lower first action is the better, then the branch that was found first: parents from the
   best to the worst, of each parent the actions by their numbers.
@@ -31,9 +31,9 @@ from frogkick.planner.lookup import DYNAMICS, action_count, dynamics_after, find
 WIDTH = 12
 """Branches that are carried on."""
 DEPTH = 3
-"""With the route cost, the least depth that is searched so."""
+"""With the route cost, the least depth at which the search is a beam search."""
 BEYOND = 4
-"""Levels that such a search looks ahead beyond its depth."""
+"""Levels that a beam search looks ahead beyond its depth."""
 _HERE, _NEXT = 1, 2  # rows of the search for the branch under way, and for what becomes of it
 
 

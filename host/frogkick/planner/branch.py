@@ -76,9 +76,12 @@ def motion_cost(search: Search, level: int, depth: int) -> Any:
 
 
 @njit(**INNER)
-def course_cost(search: Search, level: int, motion: AnyArray) -> Any:
-    """Return what it costs that the course leads off the route, of a branch that ends at a level."""
-    settings = search.settings
+def course_cost(search: Search, level: int) -> Any:
+    """Return the cost of a course that leads off the route, for a branch that ends at a level.
+
+    ``search.motion`` is the branch's last motion.
+    """
+    settings, motion = search.settings, search.motion
     ahead = _F1 + settings.course_weight_per_m * motion[0]
     aside = settings.course_weight_per_m * motion[1]
     sine, cosine = sincos(search.poses[level - 1, 2])
@@ -99,16 +102,17 @@ def course_cost(search: Search, level: int, motion: AnyArray) -> Any:
 
 @njit(**INNER)
 def ended_cost(search: Search, level: int, cost: Any, is_last: bool) -> Any:
-    """Return what a branch costs that ends at a level, reached by ``search.motion`` and at a cost so far.
+    """Return the cost of a branch that ends at a level: its cost so far and the terminal cost.
 
-    Before the search's last level, to glide beyond a wall costs as much as to be as far off the route.
+    ``search.motion`` is its last motion. Before the search's last level, gliding beyond a wall costs as much
+    as being that far from the route.
     """
     settings = search.settings
     if settings.cost == costs.COST_PAPER:
         return cost
     here, before = search.poses[level], search.poses[level - 1]
     knot, place, turn = search.knot[level], search.place[level], search.motion[2]
-    cost = cost + course_cost(search, level, search.motion)
+    cost = cost + course_cost(search, level)
     cost = cost + costs.glide_cost(settings, search.knots, search.step, knot, place, here, before, turn)
     if settings.wall_weight_per_m > _F0:
         weight = settings.wall_weight_per_m if is_last else settings.distance_weight_per_m

@@ -57,7 +57,6 @@ _F2 = np.float32(2)
 _HALF = np.float32(0.5)
 _AHEAD_STROKES = np.float32(1.5)
 _FAR_STROKES = np.float32(2)
-_PER_STEP = np.float32(0.125)
 
 
 @njit(**BARE)
@@ -270,7 +269,7 @@ def glide_cost(
     before: AnyArray,
     turn: Any,
 ) -> Any:
-    """Return what it costs how far beside the route a branch's end (``here``, at ``knot``) glides to.
+    """Return the cost of the distance from the route to which a branch's end (``here``, at ``knot``) glides.
 
     ``place`` is in m from knot 0; ``before`` is where its last motion began, ``turn`` rad what that turned.
     """

@@ -65,6 +65,8 @@ class PathLike(Protocol):
 
 
 class Cost(enum.IntEnum):
+    """Which cost the planner minimises, by its number on the link."""
+
     PAPER = costs.COST_PAPER  # Huang et al. 2022, Eq. 19
     ROUTE = costs.COST_ROUTE  # frogkick.planner.costs
 
@@ -172,7 +174,7 @@ def plan(
     limb_use: npt.ArrayLike | None = None,
     along_points: float = 0.0,
 ) -> Plan:
-    """Choose the next action (the paper's Algorithm 1 with a fixed per-axis metric).
+    """Choose the next action.
 
     Args:
         tables: an opened table image.
@@ -185,7 +187,7 @@ def plan(
     Raises:
         PlanError: the state, path or configuration allows no decision.
 
-    Source: Huang et al. 2022, Algorithm 1, Eq. 19.
+    Source: Huang et al. 2022, Algorithm 1 and Eq. 19; the nearest state is that in velocity codes.
     """
     query = _float32(state).reshape(-1)
     row = plan_batch(tables, path, config, query[np.newaxis, :], None, limb_use, along_points)[0]

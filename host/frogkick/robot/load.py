@@ -94,15 +94,17 @@ def load_robot(name_or_path: Robot | str | Path) -> Robot:
         )
     else:
         path = existing_file(text, "robot file")
-    try:
-        content = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"robot file {text!r} cannot be read: {error.strerror}; check the path") from error
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"robot file {text!r} is not UTF-8 text (byte {error.start}): name a robot's TOML file"
-        ) from error
+    content = _text_of(path, f"robot file {text!r}", "a robot's TOML file")
     return parse_robot(content, source=text, folder=path.parent)
+
+
+def _text_of(path: Path, what: str, wanted: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{what} cannot be read: {error.strerror}; check the path") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{what} is not UTF-8 text (byte {error.start}): name {wanted}") from error
 
 
 def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
@@ -111,7 +113,7 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
     Args:
         content: TOML.
         source: its name in errors.
-        folder: of ``profiles_file``; None if the text must be complete.
+        folder: where ``profiles_file`` and files of effects are; None if the text names none.
 
     Raises:
         InputError: the text is no TOML, or a key is missing, unknown or out of its range.
@@ -123,7 +125,8 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         if not isinstance(name, str) or profiles is None or "profile" in table:
             raise InputError(f"{source}: profiles_file needs a file name, a folder and no [[profile]]")
         file = existing_file(profiles / name, "profiles file")
-        table["profile"] = _parse_toml(file.read_text(encoding="utf-8-sig"), str(name)).get("profile", [])
+        content = _text_of(file, f"profiles file {name!r}", "a TOML file of [[profile]] tables")
+        table["profile"] = _parse_toml(content, name).get("profile", [])
     default = table.pop("limb_default", {})
     limbs = table.get("limb")
     if not isinstance(default, Mapping):
@@ -210,7 +213,7 @@ def _table_at(location: tuple[int | str, ...]) -> type[BaseModel]:
 
 
 def _first_error(error: ValidationError) -> str:
-    """The first error in one line; unknown keys come first, as they often explain missing ones."""
+    """The first error in one line; unknown keys come first, because a misspelt key is missing too."""
     problems = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = problems[0]
     location = first["loc"]

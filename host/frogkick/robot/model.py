@@ -91,24 +91,24 @@ def in_a_row(names: Sequence[str]) -> str:
 @typed
 @dataclass(frozen=True, repr=False)
 class Robot:
-    """A robot. Robots are equal if their sha256 are.
+    """A robot. Robots are equal if all attributes but ``folder`` are.
 
     Attributes:
         id: at most 15 ASCII characters, written into table images.
         title: one line for people.
-        period_s: from one action to the next.
+        period_s: time from the start of one action to that of the next.
         pulse_s: heating time of one limb.
-        second_delay_s: from the first group of an action to the second.
+        second_delay_s: time from the first group of an action to the second.
         pulse_energy_j: electrical energy of one pulse on one limb.
         water_density_kg_per_m3: of the fluid, for drag.
-        egain_percent, profile_frequency_hz: profile of the actions.
+        egain_percent, profile_frequency_hz: which of ``profiles`` the strokes of actions are taken from.
         gait_lead_mask, gait_lag_mask: the two groups of the cyclic gait; the second lags by the phase.
         velocity_resolution: velocity per code of a table image, (m/s, m/s, rad/s).
         battery: of the limbs; None if its file has none.
         effects: tables of its effects in its file (see frogkick.effects.effects_of).
         folder: folder of its own effects' files; None if the text has no folder.
         toml: the canonical text; load_robot reads it back to the same robot.
-        sha256: of that text, 32 bytes.
+        sha256: of that text, 32 bytes; ``at_period`` leaves both as they are.
     """
 
     id: str
@@ -167,7 +167,7 @@ class Robot:
 
     @property
     def mass_kg(self) -> float:
-        """Weight in air: frame and limbs without added mass."""
+        """Mass of frame and limbs, kg, without the added mass of the water."""
         perimeter = 0.0
         for i, (x, y) in enumerate(self.frame.corners_m):
             x2, y2 = self.frame.corners_m[(i + 1) % len(self.frame.corners_m)]
@@ -177,7 +177,7 @@ class Robot:
 
     @property
     def reach_m(self) -> float:
-        """How far from its centre the robot reaches at most: a corner of the frame, and a limb from there."""
+        """Bound of the distance of any part from the body origin, m: farthest corner plus longest limb."""
         corner_m: float = max((x * x + y * y) ** 0.5 for x, y in self.frame.corners_m)
         return corner_m + max(limb.length_m for limb in self.limbs)
 

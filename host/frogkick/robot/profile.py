@@ -125,9 +125,9 @@ def fit_profile(
             rising = np.flatnonzero(k[cooling] > low + level * (k[cooling].max() - low))
             centre = t[cooling[rising[0]]] if rising.size else 0.5 * end
             start += [(rest - low) / (TERMS - 1), centre, 0.15 * end / TERMS]
-        most = max(300.0, 2.0 * (rest - low))  # 300 for the published ones, whose fits stay
-        lower = [0.0] + [-most, 0.0, 0.002] + [-most, 0.0, 0.004] * (TERMS - 1)
-        upper = [2.0 * rest] + [most, end, 0.1] + [most, 1.3 * end, end] * (TERMS - 1)
+        amplitude_max = max(300.0, 2.0 * (rest - low))  # 300 is that of robots/frog2022.profiles.toml
+        lower = [0.0] + [-amplitude_max, 0.0, 0.002] + [-amplitude_max, 0.0, 0.004] * (TERMS - 1)
+        upper = [2.0 * rest] + [amplitude_max, end, 0.1] + [amplitude_max, 1.3 * end, end] * (TERMS - 1)
         guess = np.clip(start, np.asarray(lower) + 1e-9, np.asarray(upper) - 1e-9)
         fit = least_squares(
             lambda p: _formula(p, t, end) - k, guess, bounds=(lower, upper), x_scale="jac", max_nfev=400
@@ -204,7 +204,7 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
 
 
 def read_mat(path: Path, name: str) -> tuple[Float64, Float64]:
-    """Read ``t`` and one more variable of a MATLAB file, as rows.
+    """Read ``t`` and one more variable of a MATLAB file, each flattened to one dimension.
 
     Raises:
         InputError: it is no MATLAB file, or lacks a variable.

@@ -1,4 +1,4 @@
-"""Swim cyclic gaits as the paper does, many at a time, for validation and sweep."""
+"""Simulate cyclic gaits from rest as the paper does, many at a time, for validation and sweep."""
 
 from __future__ import annotations
 

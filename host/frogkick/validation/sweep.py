@@ -16,7 +16,8 @@ from pathlib import Path
 from frogkick.core.chunks import code_stamp
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
-from frogkick.der import WIDTH, prepare
+from frogkick.der import WIDTH
+from frogkick.effects import rods_of
 from frogkick.effects.registry import own_code
 from frogkick.effects.swims import Gait
 from frogkick.robot import Robot
@@ -371,7 +372,7 @@ def paper_verdicts(sweep: Sweep) -> list[Verdict]:
             continue
         rank, rank_any = (designs.index(winner.design) for designs in ranks)
         ours = at_phase[rank]
-        (swum,) = swim_gaits(prepare(robot), robot.profiles, [ours.gait], PAPER_CYCLES)
+        (swum,) = swim_gaits(rods_of(robot), robot.profiles, [ours.gait], PAPER_CYCLES)
         mean = swum.forward_m[-1] / swum.time_s[-1] if isinstance(swum, GaitSwim) else math.nan
         best = min(sweep.of_design(winner.design), key=order)
         verdicts.append(Verdict(winner, ours, rank + 1, rank_any + 1, best, float(mean)))

@@ -273,7 +273,7 @@ def by_group(rows: Iterable[tuple[str, float]]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class SpeedNoise:
-    """SpeedNoise of measured speeds: a model's error below it cannot be distinguished from noise.
+    """Noise of measured speeds: a model's error below it cannot be distinguished from noise.
 
     Three estimates of the standard deviation of a speed, m/s, by group of experiments, none of which uses the
     model:

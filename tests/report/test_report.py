@@ -96,6 +96,14 @@ def test_every_axis_of_a_run_has_a_label_and_a_unit() -> None:
     assert letters == [short_run().action_names[index] for index in short_run().decisions.action]
 
 
+def test_errors_fit_into_their_panel_where_a_decision_has_no_plan() -> None:
+    """Also with rows of NaN: they must not set the limits."""
+    bare = run_figure(rig.without_plan(short_run(), (0,)), "a run")
+    for panel in (figure().axes[3], bare.axes[3]):
+        largest = max(np.nanmax(line.get_ydata()) for line in panel.lines)
+        assert largest < panel.get_ylim()[1] < 2.0 * largest
+
+
 def test_no_text_of_a_figure_is_cut_off() -> None:
     drawn = figure()
     renderer = FigureCanvasAgg(drawn).get_renderer()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import tempfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.closed_loop import run_session
 from frogkick.runs.record import Recording, RunOptions
+from frogkick.runs.runlog import DecisionFlag, RunLog
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import Firmware, build
@@ -106,6 +108,17 @@ def swim(
     options = RunOptions(PlanConfig(depth=depth), onboard, limit_s)
     begun = recording(shape(path_name), options, chosen)
     return run_session(Session(port(place)), chosen, begun, progress)
+
+
+def without_plan(run: RunLog, rows: Sequence[int]) -> RunLog:
+    """A log in which some decisions were made without a plan."""
+    made = run.decisions
+    assert made.cost is not None and made.estimate is not None and made.predicted is not None
+    changed = {name: np.array(getattr(made, name)) for name in ("flags", "cost", "estimate", "predicted")}
+    changed["flags"][list(rows)] = DecisionFlag.NO_PLAN
+    for name in ("cost", "estimate", "predicted"):
+        changed[name][list(rows)] = np.nan
+    return replace(run, decisions=replace(made, **changed))
 
 
 def changed_image(at: int, content: bytes) -> bytes:

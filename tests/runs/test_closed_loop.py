@@ -9,13 +9,14 @@ import pytest
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import Fix
 from frogkick.link.wire import Edge
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.monitor import pulses_of
 from frogkick.runs.closed_loop import require_time
-from frogkick.runs.decision import DecisionTwin, RobotEvent
-from frogkick.runs.record import Recording, config_of_log
+from frogkick.runs.decision import Decision, DecisionTwin, RobotEvent
+from frogkick.runs.record import Recording, RunOptions, config_of_log
 from frogkick.runs.replay import compare, replay_on_host
 
 SHORT_S = 9.0
@@ -181,3 +182,18 @@ def test_the_robots_own_planner_is_what_its_toml_says() -> None:
     assert config.depth == planner.depth
     assert config.distance_weight_per_m == planner.distance_weight_per_m
     assert config.level_weight == planner.level_weight
+
+
+def test_a_decision_names_its_fix_also_after_their_numbers_began_anew() -> None:
+    """They have 16 bits, which last 73 minutes at 15 Hz; of a fix that came twice it is the first row."""
+    recording = rig.recording(shape("line"), RunOptions(PlanConfig(depth=1)))
+    numbers = [*range(100), 99, *range(100, 70_000)]
+    recording.fixes += [Fix(n / 15, 0.08, 0.0, 0.0, 0.0, sequence=n & 0xFFFF) for n in numbers]
+    recording.sent_s += [fix.arrival_s for fix in recording.fixes]
+    rows = [3, 99, 40_000, 65_700, 70_000]
+    recording.decisions += [
+        Decision(0, 0, round(1e6 * recording.sent_s[row]) + 2000, recording.fixes[row].sequence, fixes=3)
+        for row in rows
+    ]
+    assert recording.decision_columns().fix_sequence.tolist() == rows
+    assert recording.decision_columns(3).fix_sequence.tolist() == rows[3:], "of a log in progress"

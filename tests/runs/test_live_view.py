@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from tests.conftest import from_ci
 from tests.runs import rig
+from tests.runs.rig import without_plan
 
 import frogkick as fk
 from frogkick.core.local_server import HOST
@@ -27,6 +28,7 @@ from frogkick.report.live_page import ASKS, page, served
 from frogkick.runs.closed_loop import STOPPED
 from frogkick.runs.live_view import LiveView, fan_of, tree_of
 from frogkick.runs.record import RunOptions
+from frogkick.runs.runlog import RunLog
 
 CONFIG = PlanConfig(depth=3)
 OUTLINE = rig.robot().frame.corners_m
@@ -217,6 +219,33 @@ def test_a_recorded_run_is_played_by_its_fixes(frog2022_dir: Path) -> None:
     )
     view.show_log(log, 1e6)
     assert len(json.loads(view.text)["decisions"]) == len(log.decisions)
+
+
+def shown(run: RunLog, time_s: float) -> dict[str, Any]:
+    """The state that the page gets, which is JSON as a browser reads it: without NaN."""
+    view = LiveView(OUTLINE)
+    view.show_log(run, time_s)
+    state: dict[str, Any] = json.loads(view.text, parse_constant=pytest.fail)
+    return state
+
+
+def test_decisions_without_a_plan_are_not_drawn() -> None:
+    log = without_plan(rig.swim("pool", "sine", 6.0).log(), (1, -1))
+    times_s = log.decisions.time_s
+    assert len(shown(log, times_s[1])["decisions"]) == 1 and not shown(log, times_s[1])["branch"]
+    then = shown(log, times_s[2])
+    assert len(then["decisions"]) == len(then["letters"]) == len(then["branch"]) == 2 and then["cost"] > 0.0
+    ended = shown(log, 1e6)
+    assert len(ended["decisions"]) == len(times_s) - 2 and not ended["branch"] and "cost" not in ended
+
+
+def test_decisions_before_the_first_fix_have_no_place() -> None:
+    log = rig.swim("pool", "sine", 6.0).log()
+    quality = np.where(log.fixes.time_s < log.decisions.time_s[2], 0, 1)
+    bare = replace(log.decisions, estimate=None, predicted=None)
+    late = replace(log, decisions=bare, fixes=replace(log.fixes, quality=quality))
+    assert not shown(late, log.decisions.time_s[1])["decisions"]
+    assert len(shown(late, 1e6)["decisions"]) in (len(bare) - 2, len(bare) - 3)
 
 
 def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:

@@ -266,3 +266,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run_command(["sweep", "--frequencies", "fast", "--out", str(out)]) == 2
     assert "--frequencies" in capsys.readouterr().err
     assert run_command(["sweep", "--frequencies", "9", "--out", str(out)]) == 2
+
+
+def test_a_report_of_designs_without_a_result(tmp_path: Path) -> None:
+    """One failed, one only goes back: warnings would be errors here."""
+    sweep = made_up([(10.0, 0.4, 0.5, 0.02, 200.0), (10.0, 0.5, 0.5, -0.001, math.inf)])
+    failed = Point(Gait(10.0, 0.4, 0.5), math.nan, math.nan, "rods did not converge")
+    for points in ((failed, sweep.points[1]), (failed, replace(failed, gait=sweep.points[1].gait))):
+        write_sweep_report(tmp_path, replace(sweep, points=points), ())
+        assert "rods did not converge" in (tmp_path / "sweep.html").read_text()

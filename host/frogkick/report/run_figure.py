@@ -120,7 +120,7 @@ def _actions(axes: Axes, run: RunLog, seen: _Seen) -> None:
 def _errors(axes: Axes, time_s: Float64, gap: Float64, colour: str) -> None:
     """Draw errors of poses, (n, 3), over time."""
     position_mm, heading_deg = 1e3 * np.hypot(*gap[:, :2].T), np.rad2deg(np.abs(gap[:, 2]))
-    largest = max(1e-3, float(np.max(position_mm)), float(np.max(heading_deg)))
+    largest = float(np.nanmax([position_mm, heading_deg], initial=1e-3))  # NaN: a decision without a plan
     look = style.look(color=colour, markersize=3, linewidth=0.8)
     axes.plot(time_s, position_mm, "o-", label="position (mm)", **look)
     axes.plot(time_s, heading_deg, "^:", label="heading (deg)", alpha=0.7, **look)

@@ -120,9 +120,13 @@ def _fractions(sweep: Sweep) -> list[float]:
     return sorted({design.egain_percent for design in sweep.plan.designs})
 
 
-def _draw(axes: Axes, values: Float64, colours: str, low: float, high: float) -> None:
+def _draw(axes: Axes, values: Float64, colours: str, shown: Float64) -> None:
+    """Draw cells of some values, coloured by the range of all those that are shown in this colour map."""
     axes.set_facecolor(_MISSING)
     axes.grid(False)
+    if not np.isfinite(shown).any():
+        return
+    low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
     image = axes.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
     figure = axes.get_figure()
     assert figure is not None
@@ -151,8 +155,7 @@ def _designs(sweep: Sweep, verdicts: Sequence[Verdict]) -> Figure:
             (panels[0], speed, "Speed (mm/s)", "viridis"),
             (panels[1], cost, "Cost of transport (electrical energy / weight / distance)", "viridis_r"),
         ):
-            if np.isfinite(values).any():
-                _draw(axes, values, colours, float(np.nanmin(values)), float(np.nanmax(values)))
+            _draw(axes, values, colours, values)
             _write_cells(axes, values, sweep, frequencies, fractions)
             axes.set_title(title)
             axes.set_xticks(range(len(frequencies)), [f"{hz:g}" for hz in frequencies])
@@ -183,6 +186,13 @@ def _write_cells(
         axes.text(column, row, text + star, ha="center", va="center", fontsize=8, color=colour)
 
 
+def _mean_of_known(values: Float64) -> Float64:
+    """(1, n) means of columns without their NaN; 0 for a column of NaN alone, where ``nanmean`` warns."""
+    known = np.isfinite(values)
+    total = np.where(known, values, 0.0).sum(axis=0, keepdims=True)
+    return np.asarray(total / np.maximum(known.sum(axis=0, keepdims=True), 1))
+
+
 def _phases(sweep: Sweep) -> Figure:
     fractions, phases = _fractions(sweep), sweep.plan.phases
     tables: dict[float, tuple[list[float], Float64, Float64]] = {}
@@ -197,7 +207,7 @@ def _phases(sweep: Sweep) -> Figure:
                 cost[row, column] = point.cost_of_transport
         cost[~np.isfinite(cost)] = np.nan
         tables[fraction] = [design.frequency_hz for design in own], speed, cost
-    turns = {f: speed - np.nanmean(speed, axis=0, keepdims=True) for f, (_, speed, _) in tables.items()}
+    turns = {fraction: speed - _mean_of_known(speed) for fraction, (_, speed, _) in tables.items()}
     speeds = np.concatenate([speed.ravel() for _, speed, _ in tables.values()])
     costs = np.concatenate([cost.ravel() for _, _, cost in tables.values()])
     turn = float(np.nanmax([np.nanmax(np.abs(t), initial=0.0) for t in turns.values()])) or 1.0
@@ -205,12 +215,12 @@ def _phases(sweep: Sweep) -> Figure:
         panels = figure.subplots(3, len(fractions), squeeze=False)
         for column, (fraction, (frequencies, speed, cost)) in enumerate(tables.items()):
             rows = (
-                (speed, "speed (mm/s)", "viridis", np.nanmin(speeds), np.nanmax(speeds)),
-                (cost, "cost of transport", "viridis_r", np.nanmin(costs), np.nanmax(costs)),
-                (turns[fraction], "phase alone (mm/s)", "RdBu_r", -turn, turn),
+                (speed, "speed (mm/s)", "viridis", speeds),
+                (cost, "cost of transport", "viridis_r", costs),
+                (turns[fraction], "phase alone (mm/s)", "RdBu_r", np.array([-turn, turn])),
             )
-            for axes, (values, title, colours, low, high) in zip(panels[:, column], rows, strict=True):
-                _draw(axes, values, colours, float(low), float(high))
+            for axes, (values, title, colours, shown) in zip(panels[:, column], rows, strict=True):
+                _draw(axes, values, colours, shown)
                 axes.set_title(f"{fraction:g} %: {title}")
                 axes.set_xticks(*_ticks(frequencies, 6))
                 axes.set_yticks(*_ticks(phases))

@@ -108,18 +108,20 @@ class LiveView:
         ages_s = (run.fixes.time_s - run.fixes.capture_time_s)[seen]
         track = np.zeros((0, 3)) if run.truth is None else run.truth.pose_world[run.truth.time_s <= time_s]
         decisions, made = run.decisions, int((run.decisions.time_s <= time_s).sum())
-        last, some = made - 1, range(max(0, made - DECISIONS_SHOWN), made)
-        places = decisions.estimate
-        if places is None:  # without estimates: the newest fix
-            places = fixes[np.searchsorted(run.fixes.time_s[seen], decisions.time_s[:made], "right") - 1]
-        names = run.decided()
-        branch = []
-        if made and decisions.estimate is not None and decisions.predicted is not None:
-            branch = [decisions.estimate[last, :3], decisions.predicted[last, :3]]
-        self._drawn = {"decisions": [places[k, :3] for k in some if len(fixes)], "fan": [], "branch": branch}
-        self._labels = {"letters": [names[k] for k in some], "actions": names[last] if made else ""}
-        if made and decisions.cost is not None:
-            self._labels["cost"] = round(float(decisions.cost[last]), 3)
+        some = np.arange(max(0, made - DECISIONS_SHOWN), made)
+        # A decision is drawn at its estimate, or without one at the newest fix; NaN where there is none.
+        newest = np.searchsorted(run.fixes.time_s[seen], decisions.time_s[some], "right") - 1
+        places = np.vstack([fixes, np.full(3, np.nan)])[newest]
+        if decisions.estimate is not None:
+            places = decisions.estimate[some, :3]
+        known = np.isfinite(places).all(axis=1)
+        ends = [rows[some[-1:], :3] for rows in (decisions.estimate, decisions.predicted) if rows is not None]
+        branch = ends if len(ends) == 2 and np.isfinite(ends).all() else []
+        names = run.decided()[:made]
+        self._drawn = {"decisions": places[known].tolist(), "fan": [], "branch": branch}
+        self._labels = {"letters": [names[k] for k in some[known]], "actions": names[-1] if names else ""}
+        if made and decisions.cost is not None and np.isfinite(decisions.cost[made - 1]):
+            self._labels["cost"] = round(float(decisions.cost[made - 1]), 3)
         is_over = time_s >= max(run.fixes.time_s.max(initial=0.0), decisions.time_s.max(initial=0.0))
         age_s = float(ages_s[-1]) if len(ages_s) and np.isfinite(ages_s[-1]) else None
         self._write(fixes, track, age_s, (run.notes or "so far was recorded") if is_over else "")

@@ -6,7 +6,8 @@ import hashlib
 import pathlib
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from typing import Any
@@ -42,6 +43,12 @@ from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
 CANNOT_FOLLOW = "cannot follow"
 """The beginning of the reason why a run with a lost limb ended."""
+
+_HALF_TURN = 1 << 15
+"""Half of the numbers that fixes have: two rows with one number that are less apart are one fix, twice."""
+
+CLOCKS_APART_S = 1.0
+"""The clocks of robot and session agree better than this."""
 
 UNKNOWN = (-1, -1)
 """Values of ``heard_*`` for a fix that was not received, and of ``rested_*`` for a stroke that was fired."""
@@ -119,8 +126,6 @@ class Recording:
         """
         decisions, onboard = self.decisions[first:], self.options.onboard
         offset_us = self.clock_offset_us if onboard else 0
-        fixes = reversed(list(enumerate(self.fixes)))
-        fix_rows = {fix.sequence: row for row, fix in fixes}  # the first row of a duplicate
         failed = np.array([d.status != 0 for d in decisions], dtype=bool)
         planned = np.where(failed, np.nan, 1.0)
         rows = range(first, first + len(decisions))
@@ -132,10 +137,11 @@ class Recording:
         def states(name: str) -> np.ndarray:
             return np.array([getattr(d, name) for d in decisions], dtype=np.float64).reshape(-1, 6)
 
+        time_s = (integers("scheduled_us") - offset_us) * 1e-6
         return Decisions(
-            time_s=(integers("scheduled_us") - offset_us) * 1e-6,
+            time_s=time_s,
             action=integers("action"),
-            fix_sequence=np.array([fix_rows.get(d.fix_sequence, -1) if d.fixes else -1 for d in decisions]),
+            fix_sequence=np.array(self._newest_fixes(decisions, time_s.tolist())),
             flags=np.where(failed, int(DecisionFlag.NO_PLAN), 0),
             cost=np.array([float(d.cost) for d in decisions]) * planned,
             estimate=states("estimate") * planned[:, None],
@@ -149,6 +155,22 @@ class Recording:
                 **({"lost": integers("lost").reshape(-1, LIMBS_MAX)} if self.options.learn else {}),
             },
         )
+
+    def _newest_fixes(self, decisions: Sequence[Decision], time_s: Sequence[float]) -> list[int]:
+        """Row of the newest fix in each decision's estimate, the first one of a duplicate; -1 without a fix.
+
+        Numbers of fixes begin anew after 65,536, so one of them stands for the last fix that had it.
+        """
+        found, rows = [], dict[int, int]()
+        row = max(0, bisect_left(self.sent_s, time_s[0]) - _HALF_TURN) if time_s else 0
+        for decision, at_s in zip(decisions, time_s, strict=True):
+            while row < len(self.fixes) and self.sent_s[row] <= at_s + CLOCKS_APART_S:
+                number = self.fixes[row].sequence
+                if row - rows.get(number, -_HALF_TURN) >= _HALF_TURN:
+                    rows[number] = row
+                row += 1
+            found.append(rows.get(decision.fix_sequence, -1) if decision.fixes else -1)
+        return found
 
     def fix_columns(self, first: int = 0) -> Fixes:
         """Fixes as log columns, from row ``first`` on."""

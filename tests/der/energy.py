@@ -19,7 +19,7 @@ def bend_parameters(mesh: Mesh, activation: FloatArray, drop_per_m: float) -> tu
 
     An active limb's natural curvature falls by ``drop_per_m`` in size, and its modulus rises linearly.
     """
-    active = np.append(activation, 0.0)[mesh.bend_limb]  # -1, no limb, is the last
+    active = np.append(activation, 0.0)[mesh.bend_column // 2]  # no limb is the last
     stiffness = mesh.bend_stiffness_n_m2 * (1.0 + mesh.bend_active_gain * active)
     return stiffness, mesh.bend_natural_per_m - mesh.bend_curl * drop_per_m * active
 

@@ -52,7 +52,6 @@ def straight_rod(
         bend_active_gain=np.zeros(b),
         bend_natural_per_m=np.full(b, natural_per_m),
         bend_curl=np.zeros(b),
-        bend_limb=np.full(b, -1, dtype=np.int32),
         bend_column=np.zeros(b, dtype=np.int32),
         force_scale_n=bending_n_m2 / length_m**2,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from tests.conftest import count
@@ -9,6 +11,9 @@ from tests.der.single import Swimmer, simulate_action, simulate_gait
 
 from frogkick.core.errors import InputError
 from frogkick.der import Batch, prepare
+from frogkick.der.batch import run_steps
+from frogkick.der.body import SUMS, place_nodes
+from frogkick.der.stepping import FACTOR_EVERY, RESIDUAL_LIMIT, Nodes, workspace_of
 from frogkick.effects.acting import program_of
 from frogkick.effects.swims import Gait, Motions, Trajectory, simulate_gaits, simulate_many
 from frogkick.robot import load_robot
@@ -77,6 +82,19 @@ def test_a_failing_lane_is_reported_with_its_state_and_the_rest_goes_on() -> Non
     assert np.isnan(motions.pose_world[[3, 9]]).all()
     others = [k for k in range(LANES) if k not in (3, 9)]
     assert np.array_equal(motions.pose_world[others], whole.pose_world[others])
+
+
+def test_the_residual_of_a_step_that_failed_is_over_the_force_scale() -> None:
+    mesh, work = RODS.mesh, workspace_of(RODS.mesh, RODS.symbolic, 1)
+    x_m, v_mps = place_nodes(mesh, np.zeros(1), np.array([[0.0, 0.0, 300.0]]))
+    nodes = Nodes(x_m[..., 0].copy(), v_mps[..., 0].copy(), np.zeros_like(mesh.rest_m))
+    active, report = np.zeros((1, 2 * mesh.limbs + 2)), np.zeros((3, 1))
+    step_s, still, untold = np.array([[0.2]]), np.empty((0, 1)), np.empty((0, SUMS))
+    run_steps(mesh, RODS.symbolic, work, nodes, step_s, active, still, FACTOR_EVERY, report, untold)
+    assert report[0, 0] == 0.0
+    left = math.sqrt(float((work.force_n**2).sum())) / mesh.force_scale_n
+    assert left > RESIDUAL_LIMIT
+    assert report[1, 0] == pytest.approx(left, rel=1e-12)
 
 
 def test_a_hard_step_is_cut_in_one_lane_only() -> None:

@@ -58,7 +58,7 @@ class Failure:
     """Where the simulation of a lane failed."""
 
     time_s: float  # end of the last step that succeeded
-    residual: float  # residual of the step that failed, over ``Mesh.force_scale_n``.
+    residual: float  # residual of the step that failed, over ``Mesh.force_scale_n``
     # pose_world, velocity_body: state at ``time_s``: m, m, rad; m/s, m/s, rad/s
     pose_world: tuple[float, float, float]
     velocity_body: tuple[float, float, float]
@@ -158,6 +158,13 @@ class Batch:
 
     The result of a lane has the same bits for any width and any other lanes. A lane that fails stops and is
     listed in ``failures``; the other lanes continue.
+
+    Attributes:
+        lanes: number of robots.
+        limbs: number of limbs of each.
+        time_s: (lanes,) their clocks.
+        failures: lane -> its failure.
+        corrections: (lanes,) corrections of all time steps so far, which are the cost of a simulation.
     """
 
     def __init__(
@@ -388,11 +395,10 @@ class Batch:
         return self.motion_world()[:, 3:6]
 
     def nodes_world(self) -> Float64:
-        """Return (lanes, n, 2) node positions, m: the frame counter-clockwise, then each limb from root to
-        tip."""
+        """Return (lanes, n, 2) node positions, m, world frame, in the order of ``Mesh``."""
         nodes = np.moveaxis(lane_floats(self._state.nodes.x_m), 2, 0)[: self.lanes]
         return np.asarray(nodes + self._origin[:, None, :])
 
     def node_velocities_world(self) -> Float64:
-        """Return (lanes, n, 2) node velocities, m/s."""
+        """Return (lanes, n, 2) node velocities, m/s, world frame."""
         return np.moveaxis(lane_floats(self._state.nodes.v_mps), 2, 0)[: self.lanes].copy()

@@ -18,7 +18,11 @@ from frogkick.robot import Actuation, Robot
 
 
 class Mesh(NamedTuple):
-    """Nodes 0 .. frame_nodes-1 go round the frame, then each limb from root to tip. SI units."""
+    """Nodes, edges and bends of a robot, in SI units.
+
+    Nodes 0 .. frame_nodes-1 go round the frame. Then come those of each limb, from the one after its root,
+    which is a corner of the frame, to its tip, and last the mass point within the frame, if it has one.
+    """
 
     frame_nodes: int  # number of nodes of the frame
     rest_m: Float64  # (n, 2) positions at rest, body frame, origin at the mass-weighted centre
@@ -35,7 +39,6 @@ class Mesh(NamedTuple):
     # (b,) EI grows by this factor times the activation; 0 outside the limbs and at roots
     bend_active_gain: Float64
     bend_natural_per_m: Float64  # (b,) natural curvature at rest
-    bend_limb: Int32  # (b,) the limb that actuates it, -1 for none
     edge_inverse_per_m: Float64  # (e,) 1 / edge_length_m
     bend_edges: Int32  # (b, 2) its two edges
     # (b,) -1 if exactly one of these edges is stored against the bend's direction, else 1
@@ -194,7 +197,6 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
         bend_stiffness_n_m2=np.array(stiffness),
         bend_active_gain=np.array(gain),
         bend_natural_per_m=np.array(natural),
-        bend_limb=limb_of,
         edge_inverse_per_m=1.0 / length,
         bend_edges=np.array([(e, f) for (e, _), (f, _) in sides], dtype=np.int32),
         bend_sense=np.array([e * f for (_, e), (_, f) in sides]),

@@ -31,9 +31,15 @@ COARSEST = 8.0  # longest step over the finest; beyond it, limbs that curl back 
 COARSEST_AT_REST = 12.0  # the same while no stroke lasts
 SHARP_PER_S2 = 600.0  # second derivative of the activation from which on steps are the finest
 SLIVER = 0.1  # of the finest step: kinks that are closer together count as one
-RINGS_S = 0.8  # so long the frame oscillates after a stroke starts; 0.6 errs over 0.2 % in 2 of 192 gaits
-COARSEST_OF_PLATES = 6.0  # the same with plates, which ring on at 20 Hz: Newton's method loses them beyond it
-COARSEST_WHILE_IT_RINGS = 2.0  # longest step over the finest meanwhile; with 3, four gaits err so
+RINGS_S = (
+    0.8  # the frame oscillates for this time after a stroke starts; with 0.6, 2 of 192 gaits err by 0.2 %
+)
+COARSEST_WHILE_IT_RINGS = (
+    2.0  # longest step over the finest within RINGS_S; with 3, four gaits err by as much
+)
+COARSEST_OF_PLATES = (
+    6.0  # longest step over the finest with plates, which ring at 20 Hz: Newton diverges beyond
+)
 AHEAD_S, BEHIND_S = 0.008, 0.016  # steps are fine so long before and after a large second derivative
 
 

@@ -98,6 +98,24 @@ def factorise_symbolically(
     )
 
 
+@njit(**INNER)
+def put_four(array: SimdArray, row: int, a: Any, b: Any, c: Any, d: Any) -> None:
+    """Set the four numbers of a row."""
+    put(array, row, 0, a)
+    put(array, row, 1, b)
+    put(array, row, 2, c)
+    put(array, row, 3, d)
+
+
+@njit(**INNER)
+def add_four(array: SimdArray, row: int, a: Any, b: Any, c: Any, d: Any) -> None:
+    """Add to the four numbers of a row."""
+    add(array, row, 0, a)
+    add(array, row, 1, b)
+    add(array, row, 2, c)
+    add(array, row, 3, d)
+
+
 @njit(**BARE)
 def factor(
     symbolic: SymbolicFactorisation, diagonal: SimdArray, pair: SimdArray, scaled: SimdArray, first: int = 0
@@ -124,10 +142,8 @@ def factor(
         begin, end = symbolic.start[k], symbolic.start[k + 1]
         for i in range(begin, end):
             u0, u1, u2, u3 = get(pair, i, 0), get(pair, i, 1), get(pair, i, 2), get(pair, i, 3)
-            put(scaled, i - begin, 0, xx * u0 + xy * u2)
-            put(scaled, i - begin, 1, xx * u1 + xy * u3)
-            put(scaled, i - begin, 2, xy * u0 + yy * u2)
-            put(scaled, i - begin, 3, xy * u1 + yy * u3)
+            w0, w1, w2, w3 = xx * u0 + xy * u2, xx * u1 + xy * u3, xy * u0 + yy * u2, xy * u1 + yy * u3
+            put_four(scaled, i - begin, w0, w1, w2, w3)
         position = symbolic.target_start[k]
         for i in range(begin, end):
             u0, u1, u2, u3 = get(pair, i, 0), get(pair, i, 1), get(pair, i, 2), get(pair, i, 3)
@@ -141,15 +157,11 @@ def factor(
                 goal = symbolic.target[position]
                 position += 1
                 w0, w1, w2, w3 = get(scaled, j, 0), get(scaled, j, 1), get(scaled, j, 2), get(scaled, j, 3)
-                add(pair, goal, 0, -(u0 * w0 + u2 * w2))
-                add(pair, goal, 1, -(u0 * w1 + u2 * w3))
-                add(pair, goal, 2, -(u1 * w0 + u3 * w2))
-                add(pair, goal, 3, -(u1 * w1 + u3 * w3))
+                v0, v1, v2, v3 = u0 * w0 + u2 * w2, u0 * w1 + u2 * w3, u1 * w0 + u3 * w2, u1 * w1 + u3 * w3
+                add_four(pair, goal, -v0, -v1, -v2, -v3)
         for i in range(begin, end):
-            put(pair, i, 0, get(scaled, i - begin, 0))
-            put(pair, i, 1, get(scaled, i - begin, 1))
-            put(pair, i, 2, get(scaled, i - begin, 2))
-            put(pair, i, 3, get(scaled, i - begin, 3))
+            j = i - begin
+            put_four(pair, i, get(scaled, j, 0), get(scaled, j, 1), get(scaled, j, 2), get(scaled, j, 3))
 
 
 @njit(**BARE)
@@ -187,24 +199,6 @@ def unsymmetric_steps(symbolic: SymbolicFactorisation, edges: Int32) -> int:
     """Return how many steps of the elimination come no later than the rows of the pairs of some edges."""
     pairs = symbolic.edge_pair[edges]
     return int(np.searchsorted(symbolic.start, pairs.max(), side="right")) if len(pairs) else 0
-
-
-@njit(**INNER)
-def put_four(array: SimdArray, row: int, a: Any, b: Any, c: Any, d: Any) -> None:
-    """Set the four numbers of a row."""
-    put(array, row, 0, a)
-    put(array, row, 1, b)
-    put(array, row, 2, c)
-    put(array, row, 3, d)
-
-
-@njit(**INNER)
-def add_four(array: SimdArray, row: int, a: Any, b: Any, c: Any, d: Any) -> None:
-    """Add to the four numbers of a row."""
-    add(array, row, 0, a)
-    add(array, row, 1, b)
-    add(array, row, 2, c)
-    add(array, row, 3, d)
 
 
 @njit(**BARE)

@@ -18,7 +18,7 @@ from numba import njit
 
 from frogkick.core.compiled import INNER
 from frogkick.der.body import set_sums
-from frogkick.der.lanes import SimdArray, add, any_above, get, lane_zeros, put, where_above
+from frogkick.der.lanes import SimdArray, add, any_above, get, lane_zeros, put, sqrt, where_above
 from frogkick.der.mesh import Mesh
 from frogkick.der.plates import add_plate_forces, add_plate_masses, add_plate_stiffness
 from frogkick.der.rods import Edges, add_forces, add_stiffness, edges_of
@@ -231,7 +231,8 @@ def run_steps(
         water: (WATER, 1) or (0, 1), constant over the steps; see there.
         factor_every: corrections with one factor: FACTOR_EVERY, or 1 (Newton's method) for a difficult step.
         report: (3, 1), written: row 0 the first step in which the lane failed, or -1; such a lane keeps its
-            state before that step. Row 1 its residual over the force scale then. Row 2 number of corrections.
+            state before that step. Row 1 the residual of that step over the force scale. Row 2 the number of
+            corrections.
         sums: (steps, frogkick.der.body.SUMS), written after each step; no rows if they are not wanted.
 
     Returns:
@@ -288,7 +289,8 @@ def run_steps(
                     add(work.move_m, i, d, correction)
         if any_above(open_, 0.5):
             put(report, 0, 0, where_above(open_, 0.5, 1.0 * step, get(report, 0, 0)))
-            put(report, 1, 0, where_above(open_, 0.5, total / limit, get(report, 1, 0)))
+            left = sqrt(total) / mesh.force_scale_n
+            put(report, 1, 0, where_above(open_, 0.5, left, get(report, 1, 0)))
             alive = where_above(open_, 0.5, 0.0, alive)
         moving = going - open_
         for i in range(n):

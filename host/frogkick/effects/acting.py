@@ -25,7 +25,9 @@ Kind = TypeVar("Kind")
 LEG_S = 0.02
 """Zero-order hold: flows and wrenches are constant for this time, and are then evaluated again."""
 
-_APART_M = 0.01  # spacing of the finite difference of the flow about the body's centre
+_APART_M = (
+    0.01  # the flow's gradient is a finite difference between points so far on either side of the centre
+)
 
 
 @typed
@@ -132,7 +134,7 @@ class Acting:
         return stroke
 
     def fire(self, batch: Batch, lane: int, limb: int, time_s: float, own: int | None = None) -> None:
-        """Start a stroke of a lane's limb, with the effects; ``own`` is the lane here, if another one.
+        """Start a stroke of a lane's limb, with the effects; ``own`` is their lane, if it has another number.
 
         Raises:
             InputError: see ``stroke``.
@@ -156,7 +158,7 @@ class Acting:
     def advance(
         self, batch: Batch, until_s: float | Float64, trace: bool = False
     ) -> list[tuple[Float64, Float64]]:
-        """Advance all lanes; effects that need it are evaluated again every LEG_S.
+        """Advance all lanes; flows and wrenches are evaluated again every ``leg_s``.
 
         Returns:
             See Batch.advance.

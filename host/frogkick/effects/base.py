@@ -227,7 +227,7 @@ class Effect:
         return robot
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke | None:
-        """Change a stroke and return it."""
+        """Change a stroke and return it; None stands for the stroke that was given. A gain of 0 drops it."""
         return stroke
 
     def flow(self, time_s: float, position_world_m: Float64) -> Sequence[float] | Float64:
@@ -240,7 +240,10 @@ class Effect:
         return (0.0, 0.0, 0.0)
 
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix | None:
-        """Change a position fix and return it, or return None to drop it."""
+        """Change a position fix and return it, or return None to drop it.
+
+        Predictions keep a fix that an effect drops, because it is there.
+        """
         return fix
 
     def __repr__(self) -> str:

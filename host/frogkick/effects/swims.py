@@ -95,10 +95,10 @@ def simulate_many(
     step_s: float = STEP_S,
     width: int = WIDTH,
 ) -> Motions:
-    """Simulate robots of one mesh from rest poses, limbs at rest, ``width`` at a time.
+    """Simulate robots of one mesh from the world's origin, limbs at rest, ``width`` at a time.
 
-    Each result has the same bits, whatever else is simulated with it. Lanes with the same strokes share most
-    of their steps.
+    Each result has the same bits, whatever else is simulated with it. A batch takes as long as its lane with
+    the most steps, so neighbours should have similar strokes.
 
     Args:
         rods: of all simulations.

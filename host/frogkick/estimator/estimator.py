@@ -17,14 +17,14 @@ from frogkick.core.arrays import Float32, UInt16
 from frogkick.estimator.track import Track, sine_cosine, wrapped
 from frogkick.tables.image import Tables
 
-MARKS = 64
-OUTLIERS_MAX = 3
-STALE_US = 500_000
-FUTURE_US = 100_000
-LOST_US = 2_000_000
-UNKNOWN_US = 10_000_000
-FIXES_MAX = 255
-FIELD_M = np.float32(1000.0)
+MARKS = 64  # accepted fixes and outliers that the duplicate filter remembers
+OUTLIERS_MAX = 3  # outliers in a row that agree with each other and so reset the pose
+STALE_US = 500_000  # a state is given up to this time after the newest fix
+FUTURE_US = 100_000  # and from this time before it
+LOST_US = 2_000_000  # a robot without a new fix for longer than this is lost
+UNKNOWN_US = 10_000_000  # without a new fix for longer than this the next one starts anew
+FIXES_MAX = 255  # fixes are counted up to this number
+FIELD_M = np.float32(1000.0)  # largest coordinate of a fix, m, and largest heading, rad
 OK, RANGE, DOUBLE, OLD, OUTLIER = 0, -3, -70, -71, -72
 """Status of a fix, as in the link's ``frames.toml``."""
 
@@ -113,7 +113,8 @@ class Estimator:
             self.track.act(at_us, action)
 
     def at(self, at_us: int) -> Estimate | None:
-        """Return the state at a time; None if the newest fix is over STALE_US older or FUTURE_US newer."""
+        """Return the state at a time; None if no fix is known, or the newest is over STALE_US older or
+        FUTURE_US newer."""
         newest = self._newest
         if newest is None or not self._fixes or not -FUTURE_US <= at_us - newest.capture_us <= STALE_US:
             return None

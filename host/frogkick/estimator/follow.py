@@ -17,6 +17,8 @@ _GAIN = np.float32(0.25)
 
 
 class End(enum.Enum):
+    """Why a run ends."""
+
     COMPLETED = "completed"
     PASSED = "passed the end"
     STALLED = "no progress"
@@ -25,9 +27,9 @@ class End(enum.Enum):
 class Follow:
     """Progress of one run along a path.
 
-    A decision makes progress if it brings the robot a quarter of its longest stroke further along the path,
-    or that much nearer to it. After IDLE_DECISIONS_MAX decisions without progress the run has stalled,
-    after IDLE_LACKING_MAX where the robot lacks a limb.
+    A decision makes progress if the robot is a quarter of its longest stroke further along the path, or that
+    much nearer to it, than at the last decision that made progress. After IDLE_DECISIONS_MAX decisions
+    without progress the run has stalled, after IDLE_LACKING_MAX where the robot lacks a limb.
 
     Attributes:
         path: the path that is followed.

@@ -35,8 +35,8 @@ def profile_after(after_s: np.float32) -> Profile:
 def profile_within(since_s: np.float32, period_s: np.float32, fire_s: np.float32) -> Profile:
     """Return the weights at a time within a period.
 
-    The speed changes linearly while limbs fire, until ``fire_s`` after the start. Then it decays as
-    (u + u^2) / 2, where u falls from 1 to 0.
+    The speed changes linearly while limbs fire, until ``fire_s`` after the start, or until the middle of a
+    short period. Then it decays as (u + u^2) / 2, where u falls from 1 to 0.
     """
     one, half = _F(1), _F(0.5)
     x = since_s / period_s

@@ -2,7 +2,8 @@
 
     state  pose and speed at the last INSTANTS instants; an instant is a time at which an action starts
     F      the table predicts the mean; for the covariance over a period T, p' = p + 0.8 T v and v' = 0.7 v
-    Q      q ((0.8 T, 0.7) (0.8 T, 0.7)^T + 0.04 diag(T^2, 1)); q is adapted from the innovations
+    Q      q ((0.8 T, 0.7) (0.8 T, 0.7)^T + 0.04 diag(T^2, 1)); q is adapted from the innovations, and is a
+           sixteenth in a period of rest
     H      ``Profile``: the pose at any time from poses and speeds at both ends of its period
     R      the variance of a fix, and of the profile's own error
     gate   five standard deviations of the innovation and a margin, for the position and for the heading
@@ -33,9 +34,9 @@ from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 
 INSTANTS = 4
-COASTS_MAX = 8
-COAST_US = 200_000
-PERIOD_LEAST_US = 50_000
+COASTS_MAX = 8  # periods of rest that are predicted in a row; after a longer pause the states are forgotten
+COAST_US = 200_000  # an action that starts later than this after a period's end follows a period of rest
+PERIOD_LEAST_US = 50_000  # an action that starts sooner than this after the one before replaces it
 
 _F = np.float32
 _MICROSECOND = _F(1e-6)
@@ -104,8 +105,9 @@ class Track:
         tables: tables of the prediction, worn as the limbs are.
         instants: oldest first; the last is the end of the current period.
         mean: (3, 2 n) float32 x, y, heading: pose and speed at each instant, world.
-        covariance: (2, 2 n, 2 n) float32 of x and of y, of heading.
-        process_noise: (2,) float32 variance of a stroke's speed around the table's prediction.
+        covariance: (2, 2 n, 2 n) float32: of x and of y, which share one; of the heading.
+        process_noise: (2,) float32 variance of a stroke's speed around the table's prediction, (m/s)^2 and
+            (rad/s)^2.
         wear: estimates what the limbs have lost; None: they are taken as new.
     """
 
@@ -121,6 +123,7 @@ class Track:
         self.restart()
 
     def restart(self) -> None:
+        """Forget all states and the adapted process noise; keep what the limbs have lost."""
         self.instants: list[_Instant] = []
         self.process_noise: Float32 = _PROCESS_NOISE.copy()
         self._predicted = np.zeros(3, dtype=np.float32)

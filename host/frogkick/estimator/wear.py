@@ -39,7 +39,7 @@ _PENALTY, _COMMON_BY, _OUTLIER, _ERROR_MOST = _F(9), _F(9), _F(8), _F(1e6)
 _SECANT = 22937
 _LEAST, _MOST, _COMMON_MOST, _APART = _F(0.02), _F(1.3), _F(0.6), _F(1e-3)
 _GONE_BY = _F(1)
-_RESTARTED = _F(18)  # twice the penalty: it fades within 16 periods that tell nothing of the limb
+_RESTARTED = _F(18)  # twice the penalty: the share is dropped after 17 periods without news of the limb
 
 
 class WearFilter:

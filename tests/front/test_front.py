@@ -22,6 +22,7 @@ from tests.runs import rig
 import frogkick as fk
 from frogkick.effects import LimbWear
 from frogkick.effects.base import Effect
+from frogkick.front import replaying
 from frogkick.front import tables as tables_module
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
@@ -379,6 +380,44 @@ def test_a_log_of_a_robot_that_never_swam_is_read_and_given_on(runs: list[fk.Run
     for reported in (lambda: read.tracking, read.summary, lambda: read.compare(runs[0])):
         with pytest.raises(fk.InputError, match="has no decisions"):
             reported()
+
+
+def test_a_table_in_memory_takes_the_robot_that_is_given(table: fk.Table, robot: fk.Robot) -> None:
+    deeper = dataclasses.replace(
+        robot, planner=dataclasses.replace(robot.planner, depth=robot.planner.depth % 4 + 1)
+    )
+    assert fk.load_table(table).robot is table.robot
+    used = fk.load_table(table, deeper)
+    assert used.robot is deeper and used.image == table.image and used.tables.actions == table.tables.actions
+    with pytest.raises(fk.InputError, match="this robot is 'hexapod'"):
+        fk.load_table(table, "hexapod")
+
+
+def test_a_run_of_a_robot_of_one_s_own_is_decided_again(
+    runs: list[fk.Run], library: fk.Library, robot: fk.Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = parse_robot(robot.toml.replace(f'id = "{robot.id}"', 'id = "mine"'), "mine")
+    mine.save(tmp_path / "mine.toml")
+    own = fk.fit_table(
+        dataclasses.replace(library, robot_id=mine.id, robot_toml=mine.toml, robot_sha256=mine.sha256)
+    )
+    own.save(tmp_path / "own.fkt")
+    run = dataclasses.replace(runs[0], robot_id=mine.id)
+    beside = fk.replay(run, table=tmp_path / "own.fkt", plan="host")
+    asked = list[fk.Robot | str]()
+
+    def default(one: fk.Robot | str) -> Path:
+        asked.append(one)
+        return tmp_path / "own.fkt"
+
+    monkeypatch.setattr(replaying, "default_tables", default)
+    again = fk.replay(run, model=str(tmp_path / "mine.toml"), plan="host")
+    assert again.result.actions == beside.result.actions
+    assert [one.id for one in asked if isinstance(one, fk.Robot)] == ["mine"]
+    with pytest.raises(
+        fk.InputError, match="is of robot 'mine', not 'frog2022': give its robot with --model"
+    ):
+        fk.replay(run, model="frog2022", plan="host")
 
 
 def test_a_run_is_decided_again_in_memory(runs: list[fk.Run], table: fk.Table) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -130,18 +129,17 @@ def show(values: Mapping[str, Any], as_json: bool, text: str = "", passed: bool 
         raise typer.Exit(1)
 
 
-def local_processes(workers: int, cluster: str | None) -> int:
-    """Return how many processes to start here, from --workers (0: one for each core) and --cluster.
+def require_one_place(workers: int, cluster: str | None) -> None:
+    """Check that a command computes either in processes of this computer or on a cluster.
 
     Raises:
-        InputError: both are given, or the cluster's address is not valid.
+        InputError: --workers and --cluster are given, or the cluster's address is not valid.
     """
-    if cluster is not None:
-        if workers:
-            raise InputError(
-                f"--workers {workers} counts processes on this computer, but --cluster has its own workers: "
-                "give only one of the two"
-            )
-        check_cluster(cluster)
-        return 1
-    return workers or os.cpu_count() or 1
+    if cluster is None:
+        return
+    if workers:
+        raise InputError(
+            f"--workers {workers} counts processes on this computer, but --cluster has its own workers: "
+            "give only one of the two"
+        )
+    check_cluster(cluster)

@@ -154,7 +154,7 @@ def replay(
     ] = None,
     depth: opt.Depth = None,
     robot: Annotated[str, "virtual: the chip; pool: the C core on this computer."] = "virtual",
-    model: Annotated[str | None, "Robot TOML file or built-in name; default: the run's robot."] = None,
+    model: Annotated[str | None, "Robot TOML file or built-in name; default: the table's robot."] = None,
     json: opt.Json = False,
 ) -> None:
     """Give a run's fixes to the planner again and compare every decision.

@@ -13,7 +13,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import local_processes, save, say, show
+from frogkick.cli.common import require_one_place, save, say, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import progress_bar
@@ -139,9 +139,9 @@ def build_library(
     """Simulate every action from each of many initial velocities. An interrupted build can be resumed."""
     described = fk.load_robot(robot)
     require_writable(out)
-    processes = local_processes(workers, cluster)
+    require_one_place(workers, cluster)
     began = time.perf_counter()
-    made = opt.call(fk.build_library, locals(), robot=described, workers=processes, progress=True)
+    made = opt.call(fk.build_library, locals(), robot=described, progress=True)
     for failure in made.failed:
         name = described.actions[failure.action].name
         say(f"state {failure.state}, action {name} is left out of the tables: {failure.reason}")

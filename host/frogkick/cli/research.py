@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
 import typer
 
 from frogkick.cli import options as opt
-from frogkick.cli.common import local_processes, save, show
+from frogkick.cli.common import require_one_place, save, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar, tell_line
@@ -200,14 +200,14 @@ def sweep(
     from frogkick.front.gaits import sweep as run
 
     require_writable(out, folder=True)
-    processes = local_processes(workers, cluster)
+    require_one_place(workers, cluster)
     designs = {
         "frequencies_hz": _numbers(frequencies, "--frequencies"),
         "egain_percent": _numbers(egain, "--egain"),
     }
     began = time.perf_counter()
     with progress_bar("sweep: gaits") as bar:
-        swept = opt.call(run, locals(), **designs, workers=processes, progress=_with_rate(bar))
+        swept = opt.call(run, locals(), **designs, progress=_with_rate(bar))
     files = swept.save(out)
     result = swept.as_json()
     result["files"] = [str(file) for file in files]

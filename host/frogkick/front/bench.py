@@ -163,7 +163,7 @@ COORDINATE_MAX = 1000.0
 def session_with(
     wire: Wire, dialect: str, image: Path, robot: Robot, key: Path | None
 ) -> Iterator[LabSession]:
-    """Return a session over a wire in a robot's protocol; ``key`` is the file of its owner's key."""
+    """Yield a session over a wire in a robot's protocol; ``key`` is the file of its owner's key."""
     if dialect == "frogkick":
         yield lab_session(wire, key)
         return
@@ -207,20 +207,20 @@ class Bench:
     """A real robot, the source of its position fixes, and what its operator has measured.
 
     Attributes:
-        name: its address: ble:NAME or serial:PORT.
+        name: its address, ``ble:NAME`` or ``serial:PORT``.
         fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
         source: camera number, network camera's address, video file or folder of pictures.
-        begin: ``x_m,y_m,deg`` where the path shall begin, ``here`` for the robot's pose, None for the path's
-            own.
+        begin: pose at which the path shall begin, ``X,Y,DEG`` (m, degrees) or ``here`` (the robot's pose);
+            None: the path stays where it is.
         rate_hz, world, seed: of a simulated pool: fixes per second, its true effects, its camera's noise.
         dialect: its protocol.
         battery_v: voltage of its lowest battery, measured with a meter; None: not measured.
         out: the log, which is written during the run; None: none is written.
-        film: the camera's pictures are recorded next to it.
+        film: whether the camera's pictures are recorded next to it.
         operator: the person who is asked before arming and may stop the run.
         wire: an open link to the robot; None: a link is opened, and closed after the run.
         key: file of its owner's key; None: the user's own.
-        drawn: a page shows the run and the planner's predictions.
+        drawn: whether a page shows the run and the planner's predictions.
         stop: called by the page's button.
     """
 

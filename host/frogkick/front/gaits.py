@@ -214,17 +214,21 @@ class Swept:
 
     @property
     def fastest(self) -> list[Point]:
-        """The designs (EGaIn fraction and frequency), each at its fastest phase, fastest first."""
+        """The designs (EGaIn fraction and frequency), fastest first, each at its listed phase.
+
+        Of the phases that are at most 0.5 mm/s slower than a design's fastest one, the listed phase is the
+        one nearest to half a cycle.
+        """
         return rank_designs(self.sweep, by_speed)
 
     @property
     def most_efficient(self) -> list[Point]:
-        """The designs by cost of transport, lowest first."""
+        """The designs by cost of transport, lowest first, each at its listed phase (see ``fastest``)."""
         return rank_designs(self.sweep, by_cost)
 
     @property
     def energy_model(self) -> str:
-        """A sentence on what the cost of transport includes."""
+        """A paragraph on what the cost of transport includes."""
         return energy_model(self.sweep.plan.robot)
 
     def save(self, folder: Path | str) -> list[Path]:

@@ -34,7 +34,9 @@ HOLD_RADIUS_M = 0.07
 ROOM = 1.2
 """Radius of a circle that a robot can follow, in radii of its tightest turn."""
 PERIODS = 40
+"""Periods after which the motion of an action that is repeated no longer changes."""
 TURN_MIN_RAD = 0.01
+"""Smallest turn in a period by which an action counts as turning."""
 
 WALL_WEIGHT_PER_M = 50_000.0
 """Cost of each m beyond a wall: some 50 times that of a m beside the path of the built-in robot."""

@@ -23,7 +23,7 @@ from frogkick.front.robots import connect, require_target
 from frogkick.front.tables import Table, default_tables, load_table, table_image
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.pool.native_robot import kept_wear
-from frogkick.robot import Robot, in_a_row
+from frogkick.robot import Robot, in_a_row, load_robot
 from frogkick.runs.chip_log import FetchedLog, LogReplay, read_log, write_log
 from frogkick.runs.chip_log import replay_log as replay_records
 from frogkick.runs.replay import Replay, require_replayable
@@ -95,7 +95,7 @@ def replay(
             has them, else the paper's.
         depth: of the planner's search, 1 to 4; None: the planner's own.
         robot: "virtual" (the firmware on the virtual chip) or "pool" (the C core on this computer).
-        model: the robot, its name or its TOML file; None: the run's.
+        model: the robot, its name or its TOML file; None: that of the table.
         progress: of the decisions: True for a bar, or a function of (done, all).
 
     Raises:
@@ -106,14 +106,15 @@ def replay(
     recorded = run_of(run)
     require_replayable(recorded)
     require_plan(plan)
-    file = default_tables(recorded.robot_id) if table is None else table
-    used = load_table(file, recorded.robot_id if model is None else model)
-    described = used.robot
-    if recorded.robot_id != described.id:
+    asked = None if model is None else load_robot(model)
+    if asked is not None and recorded.robot_id != asked.id:
         raise InputError(
-            f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {described.id!r}: give "
+            f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {asked.id!r}: give "
             "its robot with --model"
         )
+    used = load_table(default_tables(asked or recorded.robot_id) if table is None else table, asked)
+    used.tables.require_robot(recorded.robot_id)
+    described = used.robot
     period_s = used.tables.period_us * 1e-6
     if abs(period_s / recorded.period_s - 1.0) > 0.1:
         raise InputError(

@@ -23,6 +23,7 @@ from frogkick.identification.segments import Segments
 from frogkick.library import build_library, fit_table
 from frogkick.library.fitting import WHOLE_MIN, looked_up
 from frogkick.library.sampling import require_draw
+from frogkick.library.transitions import HISTORY, RESTED
 from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import config_of
 from frogkick.pool.native_robot import NativeRobot
@@ -36,8 +37,6 @@ from frogkick_codegen.firmware import build
 LOOP_PATHS, LOOP_SEEDS, LOOP_LIMIT_S = tuple(SHAPES), 2, 90.0
 """The paths on which tables are tested in closed loop, the runs along each, and their time limit."""
 
-EARLIER = 8  # number of earlier actions that a look-up takes
-RESTED = -1  # in place of an earlier action: there was none (as in libraries)
 PERIOD_OFF = 0.1  # largest relative difference of a run's period from the table's
 
 _RNG = np.random.default_rng(0)
@@ -104,7 +103,7 @@ class TableMaker:
         return len(open_image(image).states)
 
     def looked_up(self, image: bytes, velocity_body: Float64, previous: Int64) -> Float64:
-        """(n, a, 6) transitions in a table image from (n, 3) velocities after (n, EARLIER) actions."""
+        """(n, a, 6) transitions in a table image from (n, 3) velocities after (n, HISTORY) actions."""
         return looked_up(open_image(image), velocity_body, previous)
 
     def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
@@ -197,8 +196,8 @@ def _shown(effects: Sequence[Effect], time_s: float, pose: Float64) -> tuple[flo
 
 
 def earlier_actions(swim: Segments) -> Int64:
-    """(m, EARLIER) actions of the periods before each one, newest first, RESTED beyond a gap or the start."""
-    previous = np.full((len(swim.start_s), EARLIER), RESTED, dtype=np.int64)
+    """(m, HISTORY) actions of the periods before each one, newest first, RESTED beyond a gap or the start."""
+    previous = np.full((len(swim.start_s), HISTORY), RESTED, dtype=np.int64)
     for period in range(1, len(previous)):
         apart_s = float(swim.start_s[period] - swim.start_s[period - 1])
         if swim.action[period - 1] >= 0 and apart_s < 1.5 * swim.period_s:

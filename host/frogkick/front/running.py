@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -56,9 +55,6 @@ from frogkick.runs.live_log import part_of
 from frogkick.runs.record import Recording, RunOptions, made_of
 from frogkick.runs.session import Session
 from frogkick.runs.summary import BATTERY_V
-
-if TYPE_CHECKING:
-    pass
 
 
 @typed

@@ -44,7 +44,7 @@ TRUTH_ROWS = 1000
 
 
 class ServedRobot:
-    """A simulated robot in a simulated pool that live in real time, behind a serial port (a ``Listener``).
+    """A simulated robot in a simulated pool, in real time, behind a serial port (a ``Listener``).
 
     Bytes in, bytes out; the limbs that the robot actuates move it through the water.
     """
@@ -124,11 +124,11 @@ class ServedPool:
 
     Attributes:
         table: the table in the robot's firmware.
-        begin: initial x_m, y_m, heading_rad of the robot.
+        begin: initial x (m), y (m) and heading (rad) of the robot.
         flash: file in which its flash is kept; None: in none.
         source: the camera, as ``--source`` takes it.
         picture: address of a single picture.
-        covered, mirrored: the tag is hidden, the pictures are mirrored.
+        covered, mirrored: whether the tag is hidden, whether the pictures are mirrored.
     """
 
     table: Table

@@ -221,7 +221,8 @@ def load_table(file: Table | Path | str | None = None, robot: Robot | str | None
 
     Args:
         file: the image; None: the robot's default table, which is made on first use and kept in the user's
-            cache (about a minute, with a bar on stderr). A table in memory is returned as it is.
+            cache (about a minute, with a bar on stderr). A table in memory keeps its robot, unless another
+            one is given.
         robot: the robot, its name or its TOML file; None: the robot that the image names, built-in or ID.toml
             beside the file.
 
@@ -230,9 +231,12 @@ def load_table(file: Table | Path | str | None = None, robot: Robot | str | None
         TableError: the file is not a valid table image.
     """
     if isinstance(file, Table):
-        return file
-    image = table_image(file, robot)
-    tables = read_image(image)
+        if robot is None:
+            return file
+        image, tables = Path(file.name), open_image(file.image)
+    else:
+        image = table_image(file, robot)
+        tables = read_image(image)
     return _called(tables, robot_of_table(image, robot, tables), image.name)
 
 

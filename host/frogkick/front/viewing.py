@@ -157,7 +157,7 @@ def _drawn(
 
 SLOW_S = 2.0
 FAR_M = 0.01
-"""The cause is explained from this mean distance on."""
+"""Mean distance from the path from which on a path that bends too sharply is reported."""
 
 
 def lost_limb_advice(ended: str) -> str:

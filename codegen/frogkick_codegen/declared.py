@@ -1,6 +1,6 @@
-"""What a shared library's C declares, read from that C and built into the library: its callers ask it.
+"""The declarations of a shared library, read from its C files and built into it for its callers.
 
-A reader of our own C, not of all C: statements outside of functions, integer macros, no conditions.
+This reads the project's own C, not all C: statements outside of functions, integer macros, no conditions.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _TYPE = re.compile(r"^(?:typedef )?(?:struct|enum|union) ?(\w*) ?\{.*\} ?(\w*);$
 
 
 def declarations(files: Mapping[str, bytes]) -> dict[str, str]:
-    """Return what can be called, and the types which that takes, in an order that C accepts.
+    """Return the functions and variables, and the types that they use, in an order that C accepts.
 
     Args:
-        files: C files by name; what they declare to other files counts, of a ``.c`` too.
+        files: C files by name; everything with external linkage counts, in a ``.c`` too.
 
     Returns:
         Declaration -> name of the header that defines it as a complete type, or "".
@@ -123,7 +123,7 @@ def _dimensioned(statement: str, known: Mapping[str, int]) -> str:
 
 
 def _value(expression: str, known: Mapping[str, int]) -> int | str:
-    """The number that an expression of integers is; itself where it is none."""
+    """The value of an expression of integers; the expression itself if it is none."""
     plain = _NUMBER.sub(
         r"\1", re.sub(r"\b[A-Z]\w+\b", lambda word: str(known.get(word[0], word[0])), expression)
     )

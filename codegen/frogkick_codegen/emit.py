@@ -66,7 +66,7 @@ PARTS: Mapping[tuple[str, ...], str] = {
     ("math.c", "fk_trig.h"): "angles in float32, no libm",
     ("fk_internal.h",): "what these files share",
 }
-"""What the README says of the planner's own files."""
+"""Files of the planner -> what the emitted README says about them."""
 SOURCES = tuple(sorted((*PLANNER_SOURCES, "fk_table.c")))
 """The C files that a firmware compiles; ``example_main.c`` is not among them."""
 BUILD_COMMAND = shlex.join(["cc", *FLAGS, "-o", "example", "example_main.c", *SOURCES])
@@ -94,7 +94,7 @@ def emit(
         config: weights and depth; the paper's where it is None.
         robot_sha256: 32 bytes of the robot's canonical dump; where it is None the first lines say that the
             library's hash covers it.
-        figures: what the planner costs with this table on the chip; None = not measured.
+        figures: sizes and times of the planner with this table on the chip; None: not measured.
 
     Returns:
         File name -> SHA-256 of its content, hexadecimal.
@@ -296,7 +296,7 @@ _BARE = (
     "-fno-unwind-tables", "-fno-asynchronous-unwind-tables",
 )  # fmt: skip
 NOT_PLANNER = ("main", "fk_reset", "fk_fault", "fk_stop", "fk_clock_init", "memcpy", "memset", "vectors")
-"""What such an image holds besides planner and table."""
+"""Symbols of that image that belong neither to the planner nor to the table."""
 
 
 def build_planner(emitted: Path, elf: Path) -> Path:

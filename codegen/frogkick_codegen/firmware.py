@@ -100,7 +100,7 @@ REST_FLOOR_S = 0.1
 FIX_FRESH_CEILING_S = 0.5
 FIX_LOST_CEILING_S = 2.0
 CHECKED_CEILING = 18
-"""What no robot's limits may exceed: the same as in fk_guard.h, where the compiler holds them again."""
+"""Bounds of every robot's limits, the same as in fk_guard.h, where the compiler checks them again."""
 _PORT_LATE_US = 200
 """``FK_PORT_LATE_US``: what a port may take from the time that it reports to the pins."""
 
@@ -192,9 +192,9 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         compiler: for the target "native"; zig where it is None.
 
     Raises:
-        InputError: unknown target, the table is for another robot, its guard's limits are none, the sources
-            or a package are not installed, the image does not fit the chip, or ``out`` cannot be written or
-            holds an ``emitted`` of others.
+        InputError: unknown target, the table is for another robot, the limits of the robot's guard are out of
+            range, the sources or a package are not installed, the image does not fit the chip, ``out`` cannot
+            be written, or its folder ``emitted`` holds other files.
         ToolchainError: no compiler, or a refused source.
     """
     if target not in TARGETS:
@@ -278,7 +278,7 @@ def _without_banner(content: bytes) -> bytes:
 
 
 def require_tools(target: str) -> None:
-    """Refuse a target that cannot be built here: what a build looks for, and ``doctor`` with it."""
+    """Raise an error for a target that cannot be built here; ``doctor`` checks the same."""
     firmware_sources()
     zig("chip" if target in CHIPS else "host")
     if target in CHIPS:

@@ -1,4 +1,4 @@
-"""Makes the C's view of link, supervisor and planner's weights: C headers, tables for the documentation.
+"""Makes C headers and the documentation's tables of the link, the supervisor and the planner's weights.
 
 Run ``python -m frogkick_codegen.frames`` after a change of ``frames.toml``, ``supervisor.toml`` or
 ``core/weights.py``; a test fails until it was run.
@@ -6,7 +6,10 @@ Run ``python -m frogkick_codegen.frames`` after a change of ``frames.toml``, ``s
 
 from __future__ import annotations
 
+import re
 import textwrap
+from collections.abc import Iterator
+from importlib import resources
 from pathlib import Path
 
 from frogkick.core.files import write_text
@@ -33,22 +36,40 @@ def _cell(fields: tuple[Field, ...]) -> str:
     return ", ".join(f"`{field.name}` {field.type}" for field in fields) or "-"
 
 
-def _payload_cell(payload: Payload) -> str:
-    rows = f"; then up to {payload.repeat_max} x ({_cell(payload.repeat)})" if payload.repeat else ""
-    return _cell(payload.fields) + rows
-
-
 def layout_table() -> str:
-    """The layout as a Markdown table."""
-    lines = ["| id | frame | meaning | carries | answer |", "|---|---|---|---|---|"]
+    """The frames as a Markdown table."""
+    lines = ["| type | frame | meaning | needs a code |", "|---|---|---|---|"]
     for message in link_layout().messages.values():
-        if message.command is not None and message.answer is not None:
-            carries, answer = _payload_cell(message.command), _payload_cell(message.answer)
-        else:
-            assert message.event is not None
-            carries, answer = _cell(message.event.fields), "(event)"
-        lines.append(f"| 0x{message.id:02x} | {message.name} | {message.doc} | {carries} | {answer} |")
+        kind = "event: " if message.event is not None else ""
+        code = "yes" if message.needs_code else ""
+        lines.append(f"| 0x{message.id:02x} | {message.name} | {kind}{message.doc} | {code} |")
     return "\n".join(lines)
+
+
+def field_tables() -> Iterator[str]:
+    """A Markdown table for each frame: the fields of its payloads, in the order on the wire."""
+    for message in link_layout().messages.values():
+        lines = ["| payload | field | type | unit | meaning |", "|---|---|---|---|---|"]
+        for part in ("command", "answer", "event"):
+            payload: Payload | None = getattr(message, part)
+            if payload is not None:
+                lines += _field_rows(part, payload.fields)
+                lines += _field_rows(f"{part}, then up to {payload.repeat_max} times", payload.repeat)
+        yield f"### {message.name}\n\n" + "\n".join(lines)
+
+
+def _field_rows(part: str, fields: tuple[Field, ...]) -> list[str]:
+    return [f"| {part} | `{field.name}` | {field.type} | {field.unit} | {field.doc} |" for field in fields]
+
+
+def number_tables() -> Iterator[str]:
+    """A Markdown table for each field whose numbers have names: status, state, fault and others."""
+    text = resources.files("frogkick.link").joinpath("frames.toml").read_text(encoding="utf-8")
+    for name, about, body in re.findall(r"^\[(\w+)\] +# (.*)\n((?:\w+ = -?\d.*\n|#.*\n)+)", text, re.M):
+        rows = re.findall(r"^(\w+) = (-?\d+)(?: +# (.*))?$", body, re.M)
+        lines = ["| number | name | meaning |", "|---|---|---|"]
+        lines += [f"| {number} | {word} | {meaning} |" for word, number, meaning in rows]
+        yield f"### `{name}`\n\n{about[0].upper()}{about[1:]}.\n\n" + "\n".join(lines)
 
 
 def records_table() -> str:

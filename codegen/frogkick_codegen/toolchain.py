@@ -82,7 +82,7 @@ def zig(target: str = "host") -> Compiler:
 
 
 def zig_folders() -> list[Path]:
-    """Where the wheel with zig is, its own headers among it, for what must not name that place."""
+    """Folders of the wheel with zig and its headers, which debug information must not name."""
     found = importlib.util.find_spec("ziglang")
     places = () if found is None else found.submodule_search_locations or ()
     return [Path(place).resolve() for place in places]
@@ -130,7 +130,7 @@ def _run(name: str, command: list[str], folder: Path | None) -> subprocess.Compl
 
 
 KEPT_MAX = 64
-"""Builds kept, some 350 KB each; the one that was not wanted for longest goes first."""
+"""Builds kept, some 350 KB each; the least recently used one is deleted first."""
 
 _DIGEST_BYTES = 32
 
@@ -144,8 +144,8 @@ def built_once(
 ) -> bytes:
     """Compile, or return what this compiler made of the same flags and files before.
 
-    Several processes may do so at once: a whole file is renamed into place. One that was damaged since is
-    not believed, and a folder that cannot be written to keeps nothing.
+    Several processes may do so at once, because a whole file is renamed into place. A damaged file is
+    ignored, and in a folder that cannot be written to nothing is kept.
 
     Args:
         compiler: called as ``flags places -o output`` in the folder of ``output``.

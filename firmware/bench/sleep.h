@@ -5,11 +5,11 @@
 
 void fk_sleep_init(void);
 
-/* Take back what is pending. Call it after the peripherals' events were taken back and before their state is
- * looked at: what comes after this wakes fk_sleep, even where it comes before fk_sleep is called. */
+/* Clear pending interrupts. Call it after the peripherals' events were cleared and before their state is looked at:
+ * an event after this wakes fk_sleep(), even if it comes before fk_sleep() is called. */
 void fk_sleep_clear_pending(void);
 
-/* Sleep until an event of UARTE0, TIMER0 or TIMER2 that is enabled there. May return for no reason. */
+/* Sleep until an event of UARTE0, TIMER0, TIMER2 or POWER whose interrupt is enabled there. May return for no reason. */
 void fk_sleep(void);
 
 #endif

@@ -6,8 +6,8 @@
 
 void fk_supply_init(void);
 
-/* Whether the chip's supply is, or was since the last call, below FK_BOARD_SUPPLY_LEAST; for every turn of the
- * loop, which wakes where it falls. */
+/* 1 where the chip's supply is, or was since the last call, below FK_BOARD_SUPPLY_LEAST. Call it in every turn of the
+ * loop; a supply that falls wakes the processor. */
 int32_t fk_supply_is_low(void);
 
 #endif

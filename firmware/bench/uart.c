@@ -101,7 +101,7 @@ void fk_uart_service(void)
     }
     if (UARTE0_EVENTS_ERROR != 0u) {
         UARTE0_EVENTS_ERROR = 0u;
-        UARTE0_ERRORSRC = UARTE0_ERRORSRC; /* writing a one takes it back */
+        UARTE0_ERRORSRC = UARTE0_ERRORSRC; /* writing a one clears it */
         ++line_errors;
     }
     (void)UARTE0_EVENTS_RXDRDY; /* the writes have arrived before the caller goes on */

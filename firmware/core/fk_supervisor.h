@@ -1,6 +1,5 @@
-/* The supervisor: in which state the robot is and what leads to another one, as one table.
- * The table is made from host/frogkick/link/supervisor.toml, as is
- * the documentation's (host/docs/pages/reference/link.md).
+/* The supervisor: in which state the robot is and what leads to another one, as one table. It is generated from
+ * host/frogkick/link/supervisor.toml, like the table in the documentation (host/docs/pages/reference/link.md).
  */
 #ifndef FK_SUPERVISOR_H
 #define FK_SUPERVISOR_H

@@ -189,8 +189,14 @@ def image_layout() -> Iterator[str]:
 
 
 def link_frames() -> Iterator[str]:
-    """The link's commands, answers and events."""
+    """The link's commands and events, then the fields of each."""
     yield frames.layout_table()
+    yield from frames.field_tables()
+
+
+def link_numbers() -> Iterator[str]:
+    """The named numbers of fields."""
+    yield from frames.number_tables()
 
 
 def log_records() -> Iterator[str]:
@@ -207,7 +213,7 @@ PARTS: Mapping[str, Callable[[], Iterator[str]]] = {
     part.__name__: part
     for part in (
         commands, python, effects, law_channels, robot_keys, run_columns, image_layout, link_frames,
-        log_records, supervisor,
+        link_numbers, log_records, supervisor,
     )
 }  # fmt: skip
 

@@ -29,8 +29,14 @@ def test_the_planner_s_weights_are_up_to_date() -> None:
 
 def test_the_documentation_has_every_frame() -> None:
     page = (REPOSITORY / "host/docs/pages/reference/link.md").read_text(encoding="utf-8")
-    assert {"{{ link_frames }}", "{{ log_records }}", "{{ supervisor }}"} <= set(page.splitlines())
-    assert all(f"| {name} |" in frames.layout_table() for name in link_layout().messages)
+    gaps = {"{{ link_frames }}", "{{ link_numbers }}", "{{ log_records }}", "{{ supervisor }}"}
+    assert gaps <= set(page.splitlines())
+    layout, numbers = link_layout(), "\n".join(frames.number_tables())
+    assert all(f"| {name} |" in frames.layout_table() for name in layout.messages)
+    assert all(f"### {name}\n" in "\n".join(frames.field_tables()) for name in layout.messages)
+    for named in ("status", "state", "fault", "reset", "supply", "owner", "parameter", "learn"):
+        assert f"### `{named}`\n" in numbers
+        assert all(f"| {number} | {name} |" in numbers for name, number in getattr(layout, named).items())
 
 
 def test_statuses_are_the_planner_s_errors_and_never_collide() -> None:

@@ -7,7 +7,7 @@
 /* @param fell  called in an interrupt where the supply falls below 2.7 V */
 void fk_supply_init(void (*fell)(void));
 
-/* Whether it is, or was since the last call, below that; for every turn of the loop. */
+/* 1 where the supply is, or was since the last call, below that. Call it in every turn of the loop. */
 int32_t fk_supply_is_low(uint64_t now_us);
 
 #endif

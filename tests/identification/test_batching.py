@@ -15,7 +15,7 @@ from made import make_swim, robot
 from tests.conftest import from_ci, some
 
 from frogkick.core.errors import InputError
-from frogkick.effects import Effect, History, Stroke, make_effects
+from frogkick.effects import Effect, Fix, History, Stroke, make_effects
 from frogkick.identification import batching, predict
 from frogkick.identification.batching import all_of, cpu_s, run_concurrently
 from frogkick.identification.filter import Noise
@@ -98,6 +98,10 @@ class Flickering(Effect):
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         stroke.gain *= 0.6 + 0.4 * float(rng.random())
         return stroke
+
+    def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        fix.x_m += 1e-3 * float(rng.normal())
+        return fix
 
 
 def test_each_lane_draws_its_own_random_numbers(swim: Segments) -> None:

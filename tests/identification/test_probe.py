@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pytest
 from made import make_swim, robot, term
 
+from frogkick.core.errors import InputError
+from frogkick.effects import Effect, changed_robot
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, difference_steps, residuals_of, rollouts_of
 from frogkick.identification.screening import LinearSpan, changes, probes_of, sensitivities
 from frogkick.identification.segments import Data
 from frogkick.identification.steps import linearised_optimum
+from frogkick.identification.terms import catalogue
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
@@ -55,6 +61,32 @@ def test_a_sum_is_what_its_own_simulation_gives() -> None:
     base, there = (residuals_of(rollouts, data.rows) for rollouts in rollouts_of([bare, moved], data.swims))
     own = (there - base) / 0.02
     assert np.linalg.norm(rear.jacobian[:, :, 0] - own) < 0.1 * np.linalg.norm(own)
+
+
+@pytest.mark.parametrize("hook", ["check", "starts", "robot", "stroke", "flow", "wrench", "fix"])
+def test_a_method_of_a_users_effect_that_fails_is_named(tmp_path: Path, hook: str) -> None:
+    (tmp_path / "bad.py").write_text(
+        "from frogkick.effects import Effect, parameter\n\n\nclass Bad(Effect):\n"
+        f"    size = parameter('1', 0.0, 1.0, 0.0)\n\n    def {hook}(self, *given):\n        return 1 / 0\n"
+    )
+    with pytest.raises(InputError, match=f"effect 'Bad': {hook} fails: ZeroDivisionError"):
+        sensitivity_of_own(tmp_path / "bad.py")
+
+
+def sensitivity_of_own(file: Path) -> None:
+    """Derivatives by the effect in a user's file."""
+    data, model = Data([make_swim([], 9, 6)], np.ones(6, dtype=bool)), Model(robot(), (), NOISE)
+    sensitivities(model, catalogue(robot(), file)[-1:], data, lambda _done, _whole: None)
+
+
+def test_a_method_of_a_users_effect_that_gives_nonsense_is_named() -> None:
+    for hook, needed in (("fix", "is a Fix or None"), ("wrench", "are 3 finite numbers")):
+        bad = type("Bad", (Effect,), {hook: lambda *_: "nonsense"})()
+        with pytest.raises(InputError, match=f"effect 'Bad': {hook} gave 'nonsense', needed {needed}"):
+            probes_of(robot()).responses(bad)
+    bad = type("Bad", (Effect,), {"robot": lambda *_: "nonsense"})()
+    with pytest.raises(InputError, match="effect 'Bad': robot gave 'nonsense', needed is a Robot or None"):
+        changed_robot(robot(), [bad])
 
 
 def test_a_promise_lowers_the_cost_within_bounds() -> None:

@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,20 @@ from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix, rotate
 from frogkick.der import STILL, Batch, Rods, Water, prepare
-from frogkick.effects.base import Body, Effect, History, Stroke
+from frogkick.effects.base import (
+    Body,
+    Effect,
+    History,
+    Stroke,
+    call_hook,
+    fix_by,
+    numbers_by,
+    robot_by,
+    stroke_by,
+)
 from frogkick.effects.law import Law
 from frogkick.effects.registry import effects_of
 from frogkick.robot import Action, Robot
-
-Kind = TypeVar("Kind")
 
 LEG_S = 0.02
 """Zero-order hold: flows and wrenches are constant for this time, and are then evaluated again."""
@@ -38,8 +46,8 @@ def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
         InputError: an effect does not fit the robot, or gives an invalid one.
     """
     for effect in effects:
-        effect.check(robot)
-        robot = effect.robot(robot)
+        call_hook(effect, "check", robot)
+        robot = robot_by(effect, robot)
     return robot
 
 
@@ -87,7 +95,7 @@ class Acting:
         self.effects = tuple(effects)
         self.histories = [History() for _ in rngs]
         self._names = [limb.name for limb in robot.limbs]
-        self._rngs = list(rngs)
+        self.rngs = list(rngs)
         self._flows = [effect for effect in effects if effect.overrides("flow")]
         self._wrenches = [effect for effect in effects if effect.overrides("wrench")]
         self._uniform = all(effect.uniform for effect in self._flows)
@@ -102,7 +110,7 @@ class Acting:
         """Return an independent copy of some lanes; see Batch.pick."""
         twin = copy.copy(self)
         twin.histories = [History(list(self.histories[lane].strokes)) for lane in lanes]
-        twin._rngs = [copy.deepcopy(self._rngs[lane]) for lane in lanes]
+        twin.rngs = [copy.deepcopy(self.rngs[lane]) for lane in lanes]
         return twin
 
     def stroke(self, lane: int, limb: int, time_s: float, body: Body | None = None) -> Stroke:
@@ -118,8 +126,7 @@ class Acting:
         given_stroke = (self._names[limb], limb, time_s)
         stroke = Stroke(*given_stroke, body=body)
         for effect in self.effects:
-            given = _called(effect, "stroke", stroke, self.histories[lane], self._rngs[lane])
-            stroke = _of_kind(Stroke, effect, "stroke", given) or stroke
+            stroke = stroke_by(effect, stroke, self.histories[lane], self.rngs[lane])
         self.histories[lane].strokes.append((time_s, limb))
         if not _finite(stroke.gain, stroke.delay_s, stroke.duration_scale):
             raise InputError(f"effects {self.effects} give a stroke of {stroke}: values must be finite")
@@ -192,7 +199,7 @@ class Acting:
         for effect in self.effects:
             if seen is None:
                 return None
-            seen = _of_kind(Fix, effect, "fix", _called(effect, "fix", seen, self._rngs[0]))
+            seen = fix_by(effect, seen, self.rngs[0])
         if seen is not None and not _finite(
             seen.capture_s, seen.delay_s, seen.x_m, seen.y_m, seen.heading_rad
         ):
@@ -227,7 +234,7 @@ class Acting:
     def _flow(self, time_s: float, position_m: Float64) -> tuple[float, float]:
         x, y = 0.0, 0.0
         for effect in self._flows:
-            more_x, more_y = _numbers(effect, "flow", _called(effect, "flow", time_s, position_m), 2)
+            more_x, more_y = numbers_by(effect, "flow", 2, time_s, position_m)
             x, y = x + more_x, y + more_y
         return x, y
 
@@ -240,7 +247,7 @@ class Acting:
         seen, heading = body_at(time_s, pose, velocity), float(pose[2])
         forward, left, torque = 0.0, 0.0, 0.0
         for effect in self._wrenches:
-            along, aside, turn = _numbers(effect, "wrench", _called(effect, "wrench", time_s, seen), 3)
+            along, aside, turn = numbers_by(effect, "wrench", 3, time_s, seen)
             forward, left, torque = forward + along, left + aside, torque + turn
         force_x, force_y = rotate(heading, forward, left)
         return force_x / batch.mass_kg, force_y / batch.mass_kg, torque / batch.inertia_kg_m2
@@ -268,42 +275,8 @@ def body_at(time_s: float, pose: Float64, velocity: Float64) -> Body:
     return Body(time_s, (x, y, heading), (forward, left, omega))
 
 
-def _called(effect: Effect, hook: str, *given: Any) -> Any:
-    """Return what an effect's method gives; an error in a user's file is an ``InputError``."""
-    try:
-        return getattr(effect, hook)(*given)
-    except (Exception, SystemExit) as error:
-        if isinstance(error, InputError) or type(effect).__module__.startswith("frogkick."):
-            raise
-        raise InputError(
-            f"effect {effect.title!r}: {hook} fails: {type(error).__name__}: {error}; correct its file"
-        ) from error
-
-
-def _of_kind(kind: type[Kind], effect: Effect, hook: str, given: object) -> Kind | None:
-    if given is None or isinstance(given, kind):
-        return given
-    raise InputError(f"effect {effect.title!r}: {hook} gave {given!r}, needed is a {kind.__name__} or None")
-
-
 def _finite(*given: Any) -> bool:
     try:
         return all(math.isfinite(value) for value in given)
     except (TypeError, ValueError, OverflowError):  # no numbers
         return False
-
-
-def _numbers(effect: Effect, hook: str, given: object, count: int) -> Sequence[float]:
-    """Return an effect's result as numbers; (fx, fy, torque) and ((fx, fy), torque) are equal."""
-    if isinstance(given, tuple | list) and len(given) == count:
-        plain: Sequence[float] = given
-        if all(type(value) is float and math.isfinite(value) for value in plain):
-            return plain
-    try:
-        flat = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in given])  # type: ignore[attr-defined]
-    except (TypeError, ValueError):
-        flat = np.empty(0)
-    if flat.shape != (count,) or not np.isfinite(flat).all():
-        raise InputError(f"effect {effect.title!r}: {hook} gave {given!r}, needed are {count} finite numbers")
-    numbers: list[float] = flat.tolist()
-    return numbers

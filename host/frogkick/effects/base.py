@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import Fix
 from frogkick.robot import Robot
+
+Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True)
@@ -265,3 +267,62 @@ def limb_index(robot: Robot, effect: Effect, limb: str) -> int:
             f"{nearest_name(str(limb), names)}: it has {', '.join(names)}"
         )
     return names.index(limb)
+
+
+def call_hook(effect: Effect, hook: str, *given: Any) -> Any:
+    """Return what a method of an effect gives.
+
+    Raises:
+        InputError: the method is a user's own and fails.
+    """
+    try:
+        return getattr(effect, hook)(*given)
+    except (Exception, SystemExit) as error:
+        if isinstance(error, InputError) or type(effect).__module__.startswith("frogkick."):
+            raise
+        raise InputError(
+            f"effect {effect.title!r}: {hook} fails: {type(error).__name__}: {error}; correct its file"
+        ) from error
+
+
+def _of_kind(kind: type[Kind], effect: Effect, hook: str, *given: Any) -> Kind | None:
+    found = call_hook(effect, hook, *given)
+    if found is None or isinstance(found, kind):
+        return found
+    raise InputError(f"effect {effect.title!r}: {hook} gave {found!r}, needed is a {kind.__name__} or None")
+
+
+def robot_by(effect: Effect, robot: Robot) -> Robot:
+    """Return the robot as an effect changes it; InputError as by ``call_hook``, or for anything else."""
+    return _of_kind(Robot, effect, "robot", robot) or robot
+
+
+def stroke_by(effect: Effect, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+    """Return a stroke as an effect changes it; InputError as by ``call_hook``, or for anything else."""
+    return _of_kind(Stroke, effect, "stroke", stroke, history, rng) or stroke
+
+
+def fix_by(effect: Effect, fix: Fix, rng: np.random.Generator) -> Fix | None:
+    """Return a fix as an effect changes it; InputError as by ``call_hook``, or for anything else."""
+    return _of_kind(Fix, effect, "fix", fix, rng)
+
+
+def numbers_by(effect: Effect, hook: str, count: int, *given: Any) -> Sequence[float]:
+    """Return the numbers of a flow or a wrench; (fx, fy, torque) and ((fx, fy), torque) are equal.
+
+    Raises:
+        InputError: see ``call_hook``; or they are not ``count`` finite numbers.
+    """
+    found = call_hook(effect, hook, *given)
+    if isinstance(found, tuple | list) and len(found) == count:
+        plain: Sequence[float] = found
+        if all(type(value) is float and math.isfinite(value) for value in plain):
+            return plain
+    try:
+        flat = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in found])
+    except (TypeError, ValueError):
+        flat = np.empty(0)
+    if flat.shape != (count,) or not np.isfinite(flat).all():
+        raise InputError(f"effect {effect.title!r}: {hook} gave {found!r}, needed are {count} finite numbers")
+    numbers: list[float] = flat.tolist()
+    return numbers

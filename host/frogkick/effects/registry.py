@@ -16,7 +16,7 @@ from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.effects import body, camera, law, limbs, water
-from frogkick.effects.base import Effect
+from frogkick.effects.base import Effect, call_hook
 from frogkick.robot import Robot
 
 
@@ -91,7 +91,7 @@ def effects_of(robot: Robot) -> tuple[Effect, ...]:
     except InputError as error:
         raise InputError(f"robot {robot.id!r}: {error}") from None
     for effect in effects:
-        effect.check(robot)
+        call_hook(effect, "check", robot)
     return effects
 
 
@@ -226,4 +226,4 @@ def read_world(path: World | Path | str, robot: Robot | None = None) -> World:
 
 def _require_fit(world: World, robot: Robot) -> None:
     for effect in world.effects:
-        effect.check(robot)
+        call_hook(effect, "check", robot)

@@ -22,7 +22,7 @@ from frogkick.der import WIDTH, Checkpoint
 from frogkick.effects import Acting, Fix, Law, changed_robot
 from frogkick.effects.acting import program_of
 from frogkick.identification.fit import CONFOUNDED_MARGIN, Model, residuals_of, rollouts_of
-from frogkick.identification.predict import CLIP_SIGMA, PHASES, interpolated, phase_residuals, replay_batch
+from frogkick.identification.predict import PHASES, interpolated, phase_residuals, replay_batch, shown_fix
 from frogkick.identification.refine import fixed_at
 from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.search import Found
@@ -41,6 +41,8 @@ DECISIVE_SIGMA = math.sqrt(CONFOUNDED_MARGIN) + 1.0
 
 POOL_M = 0.6
 """Side of the square that a sequence stays in, about the middle of the runs, unless these went further."""
+
+CLIP_SIGMA = 8.0  # differences between two predictions are clipped at this many standard deviations
 
 CAMERA_S, LATE_S = 1.0 / 15.0, 0.08  # time between fixes, and from a picture to its fix
 
@@ -312,26 +314,22 @@ class Side:
         poses = robot.poses + offset + (robot.times_s - now_s)[:, None] * rate
         return RobotState(batch.save(0), robot.acting, robot.times_s[kept], poses[kept])
 
-    def _camera_fixes(self, robot: RobotState, corrected_s: Float64) -> Float64:
+    def _camera_fixes(self, robot: RobotState, stated_s: Float64) -> Float64:
         """(n, 3) poses that fixes with these stated times show."""
         times_s, poses = robot.times_s, robot.poses
         if self.camera_effects:
-            some = np.linspace(max(times_s[0], corrected_s[0] - _BACK_S), times_s[-1], 60)
-            captured = [
+            some = np.linspace(max(times_s[0], stated_s[0] - _BACK_S), times_s[-1], 60)
+            fixes = [
                 self._camera_fix(at_s, interpolated(times_s, poses, np.array([at_s]))[0])
                 for at_s in some.tolist()
             ]
-            times_s, poses = np.array(captured)[:, 0], np.array(captured)[:, 1:]
-        return interpolated(times_s, poses, corrected_s)
+            times_s, poses = np.array(fixes)[:, 0], np.array(fixes)[:, 1:]
+        return interpolated(times_s, poses, stated_s)
 
     def _camera_fix(self, time_s: float, pose: Float64) -> Float64:
         """(4,) the stated time of a fix of a pose, and the pose that it shows."""
-        x, y, heading = (float(value) for value in pose)
-        fix = Fix(time_s, LATE_S, x, y, heading)
-        for effect in self.camera_effects:
-            fix = effect.fix(fix, np.random.default_rng(0)) or fix
-        turned = math.remainder(fix.heading_rad - heading, math.tau)
-        return np.array([fix.capture_s, fix.x_m, fix.y_m, heading + turned])
+        fix = Fix(time_s, LATE_S, *pose.tolist())
+        return np.array(shown_fix(self.camera_effects, fix, np.random.default_rng(0)))
 
 
 def _instants(start_s: float, period_s: float) -> Float64:

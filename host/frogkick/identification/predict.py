@@ -20,6 +20,7 @@ from frogkick.core.arrays import Float64
 from frogkick.core.poses import body_from_world, rotate, wrap_angle
 from frogkick.der import WIDTH, Batch, Checkpoint, prepare
 from frogkick.effects import Acting, Effect, Fix, changed_robot
+from frogkick.effects.base import fix_by
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
@@ -27,12 +28,9 @@ from frogkick.robot import Robot
 STEP_S = 1.2e-3
 """Finest time step here: coarser than the pool's, which changes a period's end by some 0.02 mm."""
 
-CLIP_SIGMA = 8.0  # residuals are clipped at this many standard deviations
-
 PHASES = ((0.12, 0.35), (0.35, 0.65), (0.65, 1.0))
 """Phases of a period, as shares of it: limbs straighten, the robot glides, the period ends."""
 
-_RNG = np.random.default_rng(0)
 _HISTORY_S = 1.0  # of the trajectory before the latest fix that are stored, for late fixes
 
 LONGEST_S = 8e-3
@@ -169,7 +167,7 @@ class RolloutBatch:
         wanted = lane_state.lane.swim.pose[lane_state.next_fix]
         pose = wanted.copy()
         for _ in range(4):
-            pose = pose + wanted - _camera_fix(lane_state.lane.effects, lane_state.lane.swim.begin_s, pose)[1]
+            pose = pose + wanted - _camera_fix(lane_state, lane_state.lane.swim.begin_s, pose)[1]
         return np.asarray(pose)
 
     def run(self) -> list[Rollout]:
@@ -293,12 +291,12 @@ class RolloutBatch:
     def camera_fix_at(self, lane_state: LaneState, time_s: float) -> tuple[float, Float64]:
         """True capture time of a fix with the stated time ``time_s``, and the pose that it shows."""
         pose = interpolated(lane_state.times, lane_state.poses, np.array([time_s]))[0]
-        true_s, shown = _camera_fix(lane_state.camera_effects, time_s, pose)
+        true_s, shown = _camera_fix(lane_state, time_s, pose)
         for _ in range(2):
             if true_s == time_s:
                 break
             pose = interpolated(lane_state.times, lane_state.poses, np.array([true_s]))[0]
-            mirrored_s, shown = _camera_fix(lane_state.camera_effects, true_s, pose)
+            mirrored_s, shown = _camera_fix(lane_state, true_s, pose)
             off_s = 2.0 * true_s - mirrored_s - time_s
             # The delay of a clock that drifts is another one then. One that comes and goes never agrees.
             if not 1e-6 < abs(off_s) < 0.1 * abs(true_s - time_s):
@@ -316,7 +314,7 @@ class RolloutBatch:
         if true_s <= at_s:
             return shown
         pose = interpolated(lane_state.times, lane_state.poses, np.array([at_s]))[0]
-        mirrored_s, shown = _camera_fix(lane_state.camera_effects, at_s, pose)
+        mirrored_s, shown = _camera_fix(lane_state, at_s, pose)
         swim = lane_state.lane.swim
         return np.asarray(shown + swim.pose_at(at_s) - swim.pose_at(2.0 * at_s - mirrored_s))
 
@@ -349,16 +347,28 @@ def _set_waters(batch: Batch, going: Sequence[tuple[int, LaneState]]) -> None:
         batch.set_water(lane, lane_state.acting.water(batch, now_s, row[:3], row[3:6]))
 
 
-def _camera_fix(effects: Sequence[Effect], time_s: float, pose: Float64) -> tuple[float, Float64]:
+def _camera_fix(lane_state: LaneState, time_s: float, pose: Float64) -> tuple[float, Float64]:
     """True capture time of a fix with the stated time ``time_s``, and what the camera shows of ``pose``."""
-    if not effects:
+    if not lane_state.camera_effects:
         return time_s, pose
-    x, y, heading = (float(value) for value in pose)
-    seen = Fix(time_s, 0.0, x, y, heading)
+    stated_s, *shown = shown_fix(
+        lane_state.camera_effects, Fix(time_s, 0.0, *pose.tolist()), lane_state.acting.rngs[0]
+    )
+    return 2.0 * time_s - stated_s, np.array(shown)
+
+
+def shown_fix(
+    effects: Sequence[Effect], fix: Fix, rng: np.random.Generator
+) -> tuple[float, float, float, float]:
+    """Stated time and pose of a fix by a camera with effects; its heading goes on from the true one.
+
+    An effect that drops fixes did not drop this one, because it is there.
+    """
+    heading_rad = fix.heading_rad
     for effect in effects:
-        seen = effect.fix(seen, _RNG) or seen  # an effect that drops fixes did not drop this one
-    turned = math.remainder(seen.heading_rad - heading, math.tau)
-    return 2.0 * time_s - seen.capture_s, np.array([seen.x_m, seen.y_m, heading + turned])
+        fix = fix_by(effect, fix, rng) or fix
+    turned_rad = math.remainder(fix.heading_rad - heading_rad, math.tau)
+    return fix.capture_s, fix.x_m, fix.y_m, heading_rad + turned_rad
 
 
 _rods = lru_cache(maxsize=64)(prepare)

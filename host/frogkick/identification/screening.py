@@ -16,6 +16,7 @@ import numpy as np
 
 from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.effects import Body, Effect, Fix, History, Stroke
+from frogkick.effects.base import call_hook, fix_by, numbers_by, robot_by, stroke_by
 from frogkick.identification.batching import all_of
 from frogkick.identification.fit import (
     PARAMETER_PENALTY,
@@ -134,10 +135,10 @@ def _own_starts(term: Term, robot: Robot, swims: Sequence[Segments]) -> list[tup
     Probes are spread out and such an effect is in one place, so all its other parameters are simulated.
     """
     effect = term.effect()
-    effect.check(robot)
+    call_hook(effect, "check", robot)
     reached = np.concatenate([swim.pose[:, :2] for swim in swims])
     found = []
-    for given in effect.starts(reached.min(axis=0), reached.max(axis=0)):
+    for given in call_hook(effect, "starts", reached.min(axis=0), reached.max(axis=0)):
         values = dict(zip((p.name for p in term.parameters), term.values, strict=True))
         found.append((term.at(list({**values, **given}.values())), set(given)))
     return found
@@ -254,6 +255,7 @@ class Probes:
     """Situations in which effects are evaluated, the same for all."""
 
     robot: Robot
+    # limb, time and earlier strokes (time_s, limb) of each stroke
     strokes: tuple[tuple[int, float, tuple[tuple[float, int], ...]], ...]
     bodies: tuple[Body, ...]
 
@@ -263,14 +265,13 @@ class Probes:
         responses: list[float] = []
         for limb, time_s, before in self.strokes:
             given = Stroke(names[limb], limb, time_s)
-            stroke = effect.stroke(given, History(list(before)), np.random.default_rng(0)) or given
+            stroke = stroke_by(effect, given, History(list(before)), np.random.default_rng(0))
             responses += [stroke.gain, stroke.delay_s, stroke.duration_scale]
         for body in self.bodies:
-            responses += np.ravel(effect.flow(body.time_s, np.array(body.pose_world[:2]))).tolist()
-            wrench = [np.ravel(part) for part in effect.wrench(body.time_s, body)]  # force may be a pair
-            responses += np.concatenate(wrench).astype(np.float64).tolist()
+            responses += numbers_by(effect, "flow", 2, body.time_s, np.array(body.pose_world[:2]))
+            responses += numbers_by(effect, "wrench", 3, body.time_s, body)
             given_fix = Fix(body.time_s, 0.08, *body.pose_world)
-            fix = effect.fix(given_fix, np.random.default_rng(0)) or given_fix
+            fix = fix_by(effect, given_fix, np.random.default_rng(0)) or given_fix
             responses += [fix.capture_s, fix.x_m, fix.y_m, fix.heading_rad]
         return np.array(responses, dtype=np.float64)
 
@@ -298,11 +299,11 @@ def probes_of(robot: Robot) -> Probes:
 def changes(probes: Probes, term: Term, step: Float64) -> list[Float64 | None]:
     """Derivative of the responses by each parameter; None if the parameter changes the body."""
     base_effect = term.effect()
-    base, base_robot = probes.responses(base_effect), base_effect.robot(probes.robot)
+    base, base_robot = probes.responses(base_effect), robot_by(base_effect, probes.robot)
     found: list[Float64 | None] = []
     for k in range(len(term.values)):
         moved = term.at(np.array(term.values) + np.diag(step)[k]).effect()
-        same = moved.robot(probes.robot) == base_robot
+        same = robot_by(moved, probes.robot) == base_robot
         found.append((probes.responses(moved) - base) / float(step[k]) if same else None)
     return found
 

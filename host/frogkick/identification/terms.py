@@ -10,6 +10,7 @@ from typing import Any
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.effects import BUILT_IN, Effect, Law, Parameter
+from frogkick.effects.base import call_hook
 from frogkick.effects.registry import effect_classes, make_effect
 from frogkick.effects.water import OUTWARD
 from frogkick.robot import Robot
@@ -146,7 +147,7 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
             for options in _options(kind, robot):
                 table = {"file": own.name, "class": kind.__name__, **options}
                 term = _term(table, own.resolve().parent, kind)
-                term.effect().check(robot)
+                call_hook(term.effect(), "check", robot)
                 terms.append(term)
     return terms
 

@@ -1,4 +1,4 @@
-"""Chunks run here, on processes and on a real Dask cluster: the same results, and one clear line if not."""
+"""Chunks in this process, in several and on a real Dask cluster: equal results, and errors of one line."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_every_task_once_on_this_machine(workers: int) -> None:
 
 
 def swallow(_ready: list[int]) -> None:
-    """Is interrupted, and swallows it."""
+    """Interrupt this process, and swallow the exception."""
     with contextlib.suppress(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)
 
@@ -136,7 +136,7 @@ def test_distributed_is_loaded_only_when_asked_for() -> None:
 @needs_distributed
 @pytest.mark.parametrize("listens", [False, True])
 def test_where_no_scheduler_answers(listens: bool, tmp_path: Path) -> None:
-    """Nothing listens there, or what listens is mute. It has its own stderr."""
+    """Nothing listens at the address, or what listens never answers."""
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         if listens:
@@ -175,7 +175,7 @@ class Cluster:
         self.workers = [self.add_worker() for _ in range(workers)]
 
     def _wait_for_scheduler(self, port: int) -> None:
-        """A slow machine loads it for longer than a client has patience."""
+        """A slow machine takes longer to load a scheduler than a client waits for its answer."""
         while self.scheduler.poll() is None:
             with socket.socket() as caller:
                 if caller.connect_ex(("127.0.0.1", port)) == 0:

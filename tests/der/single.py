@@ -136,4 +136,4 @@ class Swimmer:
         return self.batch.nodes_world()[0]
 
     def node_velocities_world(self) -> np.ndarray:
-        return self.batch.node_velocities_world()[0]
+        return self.batch.save(0).nodes[1]

@@ -1,4 +1,4 @@
-"""Many simulations side by side: each the same as alone, failures kept apart, motion told at any time."""
+"""Many simulations side by side: each the same as alone, failures kept apart, poses at any time."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_residual_of_a_step_that_failed_is_over_the_force_scale() -> None:
 
 
 def test_a_hard_step_is_cut_in_one_lane_only() -> None:
-    """30 rad/s over a whole heating in one step needs cutting; the result is near the fine one."""
+    """A step over a whole pulse at 30 rad/s is bisected; the result is near that of fine steps."""
     velocity = np.array([[0.0, 0.0, 30.0], [0.02, 0.0, 0.1], [0.0, 0.0, 0.0]])
     programs = [[(0.0, 0b1111)], [], [(0.1, 0b0001)]]
     coarse = simulate_many(RODS, velocity, programs, [0.1, 0.2], step_s=0.2)

@@ -1,4 +1,4 @@
-"""Where no step may be long, lanes swim as they would, in more steps."""
+"""With an upper bound of the steps, robots swim as without it, in more steps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def fire(batch: Batch, number: int) -> None:
 
 
 def test_lanes_swim_as_a_batch_has_them() -> None:
-    """With a step of which even the coarsest is short enough: to the last bit."""
+    """The bound is longer than every step, so the bits are the same."""
     mine, theirs = both(6e-4)
     for number, until_s in enumerate(UNTIL_S):
         fire(mine, number)

@@ -1,4 +1,4 @@
-"""What is the same to the bit on other processors, and what to so many digits."""
+"""What has the same bits on other processors, and what agrees to a number of digits."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def said(script: str, changed: dict[str, str]) -> str:
 
 
 def said_here(script: str) -> str:
-    """In this process, which has loaded what the script needs."""
+    """What the script prints in this process, which has loaded its packages already."""
     reported = io.StringIO()
     with contextlib.redirect_stdout(reported):
         exec(script, {})
@@ -96,7 +96,7 @@ def test_another_processor_computes_the_same_bits(script: str, processor: str, t
 @from_ci
 @x86_only
 def test_the_planner_has_the_same_bits_with_any_library_beneath_it() -> None:
-    """The twin; the C by every compiler, and on the chip, is compared with it by tests/codegen."""
+    """The planner in Python; tests/codegen compares it with the C of every compiler and on the chip."""
     own = said_here(TWIN)
     machines = OTHER_MACHINES
     if count(len(machines), len(machines), 1) == 1:
@@ -107,7 +107,7 @@ def test_the_planner_has_the_same_bits_with_any_library_beneath_it() -> None:
 @from_ci
 @x86_only
 def test_a_library_and_its_table_have_the_same_bits_with_other_linear_algebra() -> None:
-    """And without AVX-512. Sines have other last bits on a processor without FMA, of before 2013."""
+    """Also without AVX-512. On a processor without FMA, from before 2013, sines have other last bits."""
     own = said_here(LIBRARY)
     assert said(LIBRARY, {**OTHER_LINEAR_ALGEBRA, "NPY_DISABLE_CPU_FEATURES": "X86_V4"}) == own
     old = {**OTHER_MACHINES["sine of the C library"], **OTHER_MACHINES["sine of numpy"]}

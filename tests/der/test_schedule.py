@@ -1,4 +1,4 @@
-"""When the steps are: they land on strokes, are fine while a limb straightens, and never run over."""
+"""When the steps are: they land on strokes, are fine while a limb straightens, and never pass the end."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_no_sliver_is_left_behind_a_stroke_that_begins_where_steps_end() -> None
 @settings(max_examples=300, deadline=None)
 @given(late=st.floats(0.0, 100.0), second_ms=st.integers(1, 400), length_ms=st.integers(500, 3000))
 def test_a_stroke_s_own_time_chooses_no_other_steps(late: float, second_ms: int, length_ms: int) -> None:
-    """The rounding of its time must not, however late it begins."""
+    """The rounding of its start must not change the steps, however late it is."""
     first, ends = (
         ends_of(at, at + 1e-3 * length_ms, [Stroke(at), Stroke(at + 1e-3 * second_ms)]) for at in (0.0, late)
     )

@@ -33,7 +33,7 @@ def test_the_direct_solver_agrees_with_numpy(which: str, width: int) -> None:
 
 @pytest.mark.parametrize("width", [1, 8])
 def test_rows_of_limbs_may_be_unsymmetric(width: int) -> None:
-    """What they leave to the frame counts by its symmetric part; without that they are solved as they are."""
+    """Of what they leave to the frame's rows the symmetric part counts; all else is solved exactly."""
     rods = prepare(load_robot("frog2022"))
     symbolic, frame = rods.symbolic, rods.mesh.frame_nodes
     n, rng = len(symbolic.order), np.random.default_rng(7)

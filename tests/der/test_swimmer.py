@@ -137,7 +137,7 @@ def test_a_step_that_does_not_converge_is_an_error_with_the_state() -> None:
 
 
 def test_a_hard_step_is_halved_until_it_converges() -> None:
-    """A step of 0.2 s over a whole heating can not converge at once; halved, it ends near the fine one."""
+    """A step of 0.2 s over a whole pulse does not converge; halved, it ends near the result of fine steps."""
     coarse, fine = (Swimmer(ROBOT, rods=RODS, velocity_body=(0, 0, 30.0), step_s=s) for s in (0.2, 0.002))
     for swimmer in (coarse, fine):
         swimmer.fire_mask(0b1111, 0.0)

@@ -1,4 +1,4 @@
-"""Water that moves, and pushes from outside: what textbooks say of them, on the robot's own mesh."""
+"""Moving water and external forces against textbook results, on the robot's own mesh."""
 
 from __future__ import annotations
 

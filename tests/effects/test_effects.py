@@ -345,7 +345,7 @@ def test_what_is_no_finite_number_is_refused(tmp_path: Path, given: str) -> None
 
 @pytest.mark.parametrize("change", ["limb = 'rear_left'", "index = 3", "time_s += 0.1"])
 def test_a_stroke_stays_that_of_its_limb_at_its_time(tmp_path: Path, change: str) -> None:
-    """Such a change had no effect, and no word was said."""
+    """A change of limb or time would have no effect, so it is refused."""
     lines = f"class Bad:\n    def stroke(self, stroke, history, rng):\n        stroke.{change}\n"
     (tmp_path / "bad.py").write_text(lines)
     acting = Acting([make_effect({"file": "bad.py"}, tmp_path)], ROBOT, [RNG])

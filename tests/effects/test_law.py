@@ -1,4 +1,4 @@
-"""Laws: formulas are parsed, checked by units, never run as Python, and act as effects that they spell."""
+"""Laws: formulas are parsed, checked by units, never run as Python, and act as the effects they describe."""
 
 from __future__ import annotations
 

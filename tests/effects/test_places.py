@@ -1,4 +1,4 @@
-"""Effects of where the mass is and where the pool ends, held against what a rigid body must do."""
+"""Effects of the mass's distribution and of the pool's walls, compared with the motion of a rigid body."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_effects_of_inertia_go_together_in_any_order() -> None:
 
 
 def test_a_centre_of_mass_to_the_left_turns_a_robot_that_pushes_straight() -> None:
-    """While water hardly drags yet: what pushes the middle by x turns it by m x d / I, to the heavy side."""
+    """Before drag matters, a push that moves the centre by x turns it by m x d / I, to the heavy side."""
     turns = {}
     for left_m in (0.0, 0.006, -0.006):
         robot = changed_robot(ROBOT, [effect("off_centre_mass", left_m=left_m)])

@@ -1,4 +1,4 @@
-"""Runs that several files look at."""
+"""Runs that several files of tests share."""
 
 from __future__ import annotations
 

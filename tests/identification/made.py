@@ -38,9 +38,9 @@ def term(title: str, *values: float) -> Term:
 
 
 def robot(name: str = "frog2022", side: int = 3, limb: int = 3) -> Robot:
-    """The paper's, of so few pieces, which swims much the same at a quarter of the cost.
+    """The paper's robot with few segments, which swims much the same at a quarter of the cost.
 
-    In make test-full as it is drawn. Tests of how it swims take it as it is drawn everywhere, by its name.
+    In make test-full it has its own segments. Tests of its swimming load it by its name instead.
     """
     return _robot(name, side, limb, not FULL)
 
@@ -58,7 +58,7 @@ def _robot(name: str, side: int, limb: int, is_of_few: bool) -> Robot:
 
 
 def robot_option(folder: Path, name: str = "frog2022") -> str:
-    """The same for a command: a file, or in make test-full its name."""
+    """The same robot as an option of a command: a file, or in make test-full its name."""
     if robot(name) == load_robot(name):
         return name
     robot(name).save(folder / f"{name}.toml")
@@ -137,7 +137,7 @@ def make_swim(
 def known_outcome(
     train: Sequence[Segments], test: Sequence[Segments], title: str, values: Sequence[float]
 ) -> Outcome:
-    """What identification would end with, were these the right values of the right effect: no search."""
+    """The outcome of an identification that has found this effect with these values, without the search."""
     plain = next(each for each in catalogue(robot()) if each.title == title)
     data, nominal = nominal_fit(train, robot())
     known = replace(

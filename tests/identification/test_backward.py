@@ -1,4 +1,4 @@
-"""Effects taken one by one are looked at once more together, and fits arrive where the runs are sharp."""
+"""Effects that were taken one by one are revised together; fits leave local minima of a stroke's delay."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def fitted_to(data: Data, terms: tuple[Term, ...], *free: int) -> Fitted:
 
 @pytest.fixture(scope="module")
 def late() -> list[Segments]:
-    """A worn limb, seen late."""
+    """Runs of a robot with a worn limb, whose fixes are late."""
     return [make_swim([WEAR, {"name": "fix_latency", "delay_s": 0.12}], 3, 16)]
 
 
@@ -70,7 +70,7 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
 
 
 def test_the_delay_of_a_limb_leaves_a_local_minimum() -> None:
-    """A stroke's influence ripples with its delay, as the frame rings: descent alone stays where it began."""
+    """The deviance oscillates with a stroke's delay, as the frame does: descent stays in its minimum."""
     data = nominal_fit([make_swim([{**WEAR, "gain": 0.55, "delay_s": 0.09}], 3, 16)], robot())[0]
     model = held_but(Model(robot(), (term("limb_wear rear_left", 0.55, 0.0),), QUIET, REFINING_LEG_S), 0, 1)
     (stuck,) = derivatives([model], data)
@@ -115,7 +115,7 @@ def test_a_parameter_at_its_bound_is_no_end_of_the_search() -> None:
 
 @from_ci
 def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Segments]) -> None:
-    """Every stroke late is nearly the same as every fix late, and not quite where the worn limb is known."""
+    """Late strokes of all limbs resemble late fixes; beside the worn limb the latency fits better."""
     data = nominal_fit(late, robot())[0]
     taken = fitted_to(data, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
     rival = fitted_to(data, (term("fix_latency", 0.1),), 0)
@@ -129,7 +129,7 @@ def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[S
 
 @from_ci
 def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Segments]) -> None:
-    """Four effects that each gained something imitate one that did not seem best after the first of them."""
+    """Delays of four limbs, taken one by one, imitate late fixes, which did not seem best after the first."""
     data = nominal_fit(late, robot())[0]
     wear = fitted_to(data, (term("limb_wear rear_left", 0.8, 0.0, 1.0),), 0)
     latency = fitted_to(data, (term("fix_latency", 0.1),), 0)
@@ -181,7 +181,7 @@ def test_a_wall_is_followed_as_finely_as_in_the_pool() -> None:
 
 
 def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Segments]) -> None:
-    """Of a right effect and an idle one beside it, the idle one costs nothing when it is left out."""
+    """Beside a true effect, one that does nothing can be left out without a loss on held-out parts."""
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
     data, fixed = nominal_fit(late, robot())[0], frozenset({1, 2})
     (whole,) = derivatives([Model(robot(), terms, QUIET, REFINING_LEG_S, fixed=fixed)], data)
@@ -200,7 +200,7 @@ def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Segments])
 def test_what_few_draws_of_the_runs_would_take_is_unstable(
     late: list[Segments], whole: list[Segments]
 ) -> None:
-    """Effects that are there would be taken in every draw; one that is not in few, though it was fitted."""
+    """True effects are selected in every resample, a false one in few of them, although it was fitted."""
     data = nominal_fit(late, robot())[0]
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
     fitted = fitted_to(data, terms, 0, 3, 4)

@@ -1,4 +1,4 @@
-"""Identifications that go at once: each comes out as it would alone."""
+"""Identifications that run concurrently: each has the result that it would have alone."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def worn(gain: float) -> Model:
 
 
 def twice(swim: Segments, gain: float) -> list[Rollout]:
-    """Two rounds of simulations, the second by what the first gave."""
+    """Two rounds of simulations; the second depends on the result of the first."""
     ((first,),) = rollouts_of([worn(gain)], [swim])
     lag = 0.01 * float(np.nanmean(np.abs(first.residuals[:, 0])))
     ((second,),) = rollouts_of([worn(gain + lag)], [swim])
@@ -79,7 +79,7 @@ def test_what_goes_at_once_is_what_would_go_alone(swim: Segments, monkeypatch: p
 def test_who_swims_beside_a_lane_makes_no_difference(
     effect: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """More lanes than go side by side: some come in late, amid others' periods."""
+    """More lanes than a batch is wide: some begin while others are in the middle of their runs."""
     # Of 3 pieces a lane that comes in late at a wall differs in its last bits (1e-12 m), of 5 it does not.
     swimmer, true = robot(side=6, limb=5), tuple(make_effects([effect], Path()))
     monkeypatch.setattr("made.robot", lambda: swimmer)
@@ -127,7 +127,7 @@ LAW = {
 def test_parts_on_several_processors_are_what_one_would_make(
     swim: Segments, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """More lanes than a batch is wide, of two bodies, one with a formula, which no other process is sent."""
+    """More lanes than a batch is wide, of two bodies, one of them with a formula, which cannot be pickled."""
     heavy = {"name": "mass_scale", "frame": 1.3}
     worlds = [[], [heavy], [LAW]] + [[{"name": "steady_current", "x_mps": 1e-3 * k}] for k in range(8)]
     lanes = [Lane(swim, robot(), tuple(make_effects(world, Path())), NOISE, LEG_S) for world in worlds]
@@ -171,7 +171,7 @@ def test_work_that_waits_for_a_thread_is_done_too(swim: Segments) -> None:
 
 
 def test_a_thread_may_run_others(swim: Segments, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fits that do not need each other, within identifications that run side by side."""
+    """Independent fits within identifications that run concurrently."""
     request = list[int]()
 
     def counted(lanes: list[Lane]) -> list[Rollout]:

@@ -1,4 +1,4 @@
-"""Many effects fitted at once, from a robot that was measured before."""
+"""Many effects fitted jointly, from the values of a robot that was calibrated before."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
 
 @from_ci
 def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which effects and parameters a relative has is kept, but none of its values."""
+    """Which effects and parameters a calibrated start has is kept, but none of its values."""
     swims = [make_swim([], seed, 5) for seed in (3, 4)]
     data, nominal = nominal_fit(swims, robot())
     begun: list[tuple[list[float], frozenset[int], int]] = []
@@ -81,7 +81,7 @@ def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pyt
 
 
 def test_a_model_is_held_against_at_its_best_noise() -> None:
-    """A noise that trusts a wrong model makes its ends worse than they need be."""
+    """A process noise that is too small for a wrong model makes its predictions worse than necessary."""
     swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 8)]
     data, nominal = nominal_fit(swims, robot())
     sure = replace(nominal.model, noise=Noise((5e-3, 5e-2), (2e-5, 5e-4), (2e-5, 5e-4)))
@@ -92,7 +92,7 @@ def test_a_model_is_held_against_at_its_best_noise() -> None:
 
 @from_ci
 def test_a_relative_must_beat_nominal_at_its_best_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An effect that does nothing, tried at better noises than the nominal model's, explains nothing."""
+    """An effect that does nothing must not gain by being tried at better noises than the nominal model."""
     swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 20)]
     data, nominal = nominal_fit(swims, robot())
     sure = replace(nominal.model, noise=Noise((5e-3, 5e-2), (2e-5, 5e-4), (2e-5, 5e-4)))
@@ -107,7 +107,7 @@ def test_a_relative_must_beat_nominal_at_its_best_noise(monkeypatch: pytest.Monk
 @given(st.integers(0, 10_000), st.integers(20, 120), st.floats(0.0, 0.4), st.floats(0.0, 3.0))
 @settings(max_examples=60, deadline=None)
 def test_worse_predictions_are_never_likelier(seed: int, count: int, wild: float, worse: float) -> None:
-    """Every miss grows in its own direction, each by a factor of its own; some are wild from the start."""
+    """Every residual grows in its own direction by a factor of its own; some are outliers from the start."""
     rng = np.random.default_rng(seed)
     residuals = rng.standard_normal((count, 3)) * (3e-4, 3e-4, 4e-3)
     residuals[rng.random(count) < wild] *= rng.uniform(2.0, 40.0)
@@ -119,7 +119,7 @@ def test_worse_predictions_are_never_likelier(seed: int, count: int, wild: float
 
 
 def test_a_core_with_strays_is_no_worse_than_predictions_that_are_all_bad() -> None:
-    """The misfire of 30 %: 2.4 mm of few strong misses cost more than 8.2 mm of misses alike, once."""
+    """A quarter of large residuals among precise ones, as of a limb that misfires, against large ones."""
     rng = np.random.default_rng(5)
     residuals = rng.standard_normal((100, 3)) * (3e-4, 3e-4, 4e-3)
     residuals[:25] += rng.standard_normal((25, 3)) * (3.5e-3, 3.5e-3, 0.1)
@@ -128,7 +128,7 @@ def test_a_core_with_strays_is_no_worse_than_predictions_that_are_all_bad() -> N
 
 
 def ends_of(residuals: np.ndarray) -> Any:
-    """A track and a run that differ by so much at the ends of periods, seen along the world's axes."""
+    """A rollout and a run with these residuals at the ends of periods; headings are zero."""
     none, nothing = np.empty(0), np.zeros((len(residuals), 6))
     rollout = Rollout(none, none, none, nothing[:, :3], nothing, none, failed=False)
     return [rollout], [SimpleNamespace(measured=residuals)]
@@ -138,7 +138,7 @@ def ends_of(residuals: np.ndarray) -> Any:
 def test_effects_fitted_to_recorded_runs_predict_another_one(
     frog2022_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Short runs to learn from, two steps from rough values; one run kept out."""
+    """Two steps from rough values on short training runs; one run is held out."""
     monkeypatch.setattr(module, "STEPS_MAX", 2)
     model, names = load_robot("frog2022"), ("line1", "sin3", "sin1")
     train = [read_segments(frog2022_dir / "control" / f"{name}.csv", model) for name in names]

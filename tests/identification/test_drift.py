@@ -1,4 +1,4 @@
-"""Limbs that drift: offsets follow what a run has shown, never what it is going to show."""
+"""Limbs that drift: the offset of a period depends on earlier periods only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIZE = np.array([2e-3, 2e-3, 0.04])
 def made_run(
     seed: int, random_walk: float, periods: int = 40, heading_rad: float = 0.0
 ) -> tuple[Segments, Rollout, NDArray[np.float64]]:
-    """A run of random strokes, the model's predictions all zero, and what each period misses by its limbs."""
+    """A run of random strokes, predictions that are all zero, and the residuals of its periods by limbs."""
     rng = np.random.default_rng(seed)
     start_s = PERIOD_S * np.arange(periods)
     fires = rng.random((periods, 4)) < 0.5
@@ -64,7 +64,7 @@ def test_chance_is_no_drift(seed: int) -> None:
 
 
 def test_an_offset_is_the_limb_s_own() -> None:
-    """One limb does more; where it rests nothing is expected of it."""
+    """One limb does more; a period in which it does not fire has no offset."""
     fires = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]] * 10)
     observed = 3.0 * fires[:, 0]
     expected = filter_offsets(observed, fires, 0.1, 99.0)

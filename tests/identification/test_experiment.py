@@ -1,4 +1,4 @@
-"""What to record next: rows that tell two models apart in the pool, and pairs that no row tells apart."""
+"""What to record next: sequences that discriminate two models in the pool, and pairs that none does."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def pair(one: Term, other: Term) -> ModelPair:
 
 @cache
 def white() -> np.ndarray:
-    """What makes the misses of a right model of size one."""
+    """Whitening matrix of the residuals of a true model."""
     swims = [make_swim([], 3, 14), make_swim([], 4, 14)]
     return whitener(residuals_of(rollouts_of([model()], swims)[0]))
 
@@ -61,7 +61,7 @@ def indices(row: str) -> list[int]:
 
 
 def separation_of(models: ModelPair, row: str) -> float:
-    """How far apart both models predict a given row, as ``plan`` computes it for the best one."""
+    """Separation of both models on a given sequence, as ``plan`` computes it for the best one."""
     sides = [Side(each) for each in models.models]
     sequence = ActionSequence((), 0.0, tuple(side.at_rest(START) for side in sides), ())
     for action in indices(row):
@@ -71,7 +71,7 @@ def separation_of(models: ModelPair, row: str) -> float:
 
 @from_ci
 def test_a_planned_row_tells_a_planted_pair_apart_and_a_bad_one_does_not() -> None:
-    """In the simulated pool, with its noise: whichever is true is likelier by far after the planned row."""
+    """In the simulated pool, with its noise, the true model is far more likely after the planned sequence."""
     asked = pair(term("limb_wear rear_left", 0.75), term("group_gain rear", 0.87))
     planned = plan(asked, white(), START, POOL, periods=5)
     assert planned.decisive and planned.separation_sigma > 10.0
@@ -99,7 +99,7 @@ def test_a_planned_row_tells_a_planted_pair_apart_and_a_bad_one_does_not() -> No
     ],
 )
 def test_what_no_row_from_rest_tells_apart_is_said(one: Term, other: Term) -> None:
-    """A camera that is late shows just what late limbs do; rear limbs never fire without front ones."""
+    """Late fixes look like late limbs; and rear limbs never fire without front ones."""
     after_s = robot().second_delay_s
     if one.name == "group_loss":
         other = other.at((1.0 - 0.4 * np.exp(-after_s / 0.2), 1.0))
@@ -128,7 +128,7 @@ def test_a_row_stays_in_its_pool_and_beats_one_action_all_the_time() -> None:
 
 
 def test_a_robot_s_way_is_the_one_of_the_pool() -> None:
-    """Side by side for planning, and in the simulated pool as its noisy fixes show it."""
+    """The trajectory that planning simulates is that of the simulated pool, within the noise of its fixes."""
     reported = [
         term("limb_wear rear_left", 0.75),
         term("fix_latency", 0.1),
@@ -190,9 +190,9 @@ def test_what_is_open_is_asked_effects_first_then_the_widest() -> None:
 
 @from_ci
 def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One action alone cannot tell how fast limbs forget; the row that is planned for it does.
+    """Runs of one action leave the fading time of limb memory open; a planned sequence narrows its interval.
 
-    By half, of the whole robot: one of few pieces shows less of it.
+    It is halved for the robot with all its segments, and shrinks less for the one with few.
     """
     for place in ("made", __name__):
         monkeypatch.setattr(f"{place}.robot", lambda: load_robot("frog2022"))

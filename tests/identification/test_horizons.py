@@ -1,4 +1,4 @@
-"""Several periods ahead: predicted from where a period began, by what was really done, with no later fix."""
+"""Predictions several periods ahead from the start of a period, with the run's strokes and no later fix."""
 
 from __future__ import annotations
 

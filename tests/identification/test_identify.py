@@ -110,7 +110,7 @@ def test_predictions_look_at_no_later_fix(whole: list[Segments]) -> None:
 
 
 def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Segments]) -> None:
-    """The same run under a thousand draws of noise: its measured ends scatter as they are said to."""
+    """Over a thousand draws of noise the measured ends of a run scatter by the variance that is stated."""
     swim, rng = whole[0], np.random.default_rng(11)
     kept = np.isfinite(swim.end_noise)
     assert kept.sum() > 5
@@ -154,7 +154,7 @@ def test_nothing_is_found_where_nothing_is_missing(whole: list[Segments]) -> Non
 
 
 def test_effects_of_the_camera_act_on_what_is_shown() -> None:
-    """A latency and a scale, given to the model, take a run with them back to the noise."""
+    """A run with a latency and a scale has no more than noise left by a model with both."""
     planted = [{"name": "fix_latency", "delay_s": 0.1}, {"name": "camera_scale", "scale": 1.1}]
     swims = [make_swim(planted, 5, 10, "BCBDBEBFBC")]
     terms = (term("fix_latency").at((0.1,)), term("camera_scale").at((1.1,)))
@@ -166,7 +166,7 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
 
 @pytest.mark.parametrize("drift", [0.012, -0.012])
 def test_a_camera_clock_that_drifts_is_followed_to_the_end_of_a_run(drift: float) -> None:
-    """Either way: by a slow clock, fixes stated for a period's end show the next stroke."""
+    """Both a fast and a slow clock. By a slow one, fixes stated for a period's end show the next stroke."""
     swims = [make_swim([{"name": "clock_drift", "drift": drift}], 5, 20)]
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
     models = [Model(robot(), terms, noise) for terms in ((term("clock_drift", drift),), ())]
@@ -276,7 +276,7 @@ def replace_periods(swim: Segments, count: int) -> Segments:
 
 @pytest.mark.parametrize("flag", [0, int(FixFlag.JUMP)])
 def test_positions_in_another_unit_are_refused(flag: int) -> None:
-    """Also where all of them were taken for jumps at import."""
+    """Also if the import took all of them for jumps."""
     run = make_run([], 0, 4)
     known, flags = run.fixes, np.full(len(run.fixes.x_m), flag, dtype=np.uint16)
     centimetres = replace(known, x_m=100.0 * known.x_m, y_m=100.0 * known.y_m, flags=flags)

@@ -1,4 +1,4 @@
-"""Laws that the catalogue does not have are screened by what runs answer, and named by the right kind."""
+"""Laws that the catalogue lacks are screened by linear responses, and the right kind is found."""
 
 from __future__ import annotations
 
@@ -193,8 +193,10 @@ MISPLACED: list[tuple[float, dict[str, float], dict[str, float]]] = [
 def test_laws_are_moved_beside_each_other(
     folder: Path, stiffness: float, cable: dict[str, float], moment: dict[str, float]
 ) -> None:
-    """A cable placed without the broken limb, and a moment chosen beside a misplaced cable: a fit
-    leaves no local minimum, a new screening does, or the simulation of every moment."""
+    """A cable placed without the broken limb, and a moment chosen beside a misplaced cable.
+
+    A fit stays in its local minimum. A new screening leaves it, or the simulation of every moment.
+    """
     world = planted(folder, {**WORLDS[0][1], "stiffness": stiffness}) + planted(folder, WORLDS[2][1])
     swims = [make_swim(world, seed, 20) for seed in (1, 2)]
     data, nominal = nominal_fit(swims, robot())
@@ -249,7 +251,7 @@ def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
 @from_ci
 @pytest.mark.parametrize("taut", [True, False])
 def test_what_bends_is_held_against_folds_by_simulation(folder: Path, taut: bool) -> None:
-    """A cable a little off its place: derivatives across the bend say nothing of a fit without a fold."""
+    """A cable near its place: derivatives at the edge of its pull do not predict a fit without a fold."""
     swims = [make_swim(planted(folder, WORLDS[0][1]) if taut else [], seed, 14) for seed in (1, 2, 3, 4)]
     data, nominal = nominal_fit(swims, robot())
     kind = next(each for each in kinds_of(robot(), swims) if each.title == "spring")
@@ -279,7 +281,7 @@ def test_a_law_that_may_have_no_strength_is_left_out(folder: Path) -> None:
 
 @from_ci
 def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
-    """A steady push, by pulses in thirds of periods; a limb that is worn; one that is broken; late fixes."""
+    """A steady push as a sum over thirds of periods, a worn limb, a broken one, and late fixes."""
     from frogkick.identification.fit import Model, residuals_of, rollouts_of
     from frogkick.identification.terms import catalogue
 
@@ -349,7 +351,7 @@ def values_of(tables: Sequence[Any]) -> list[float]:
 
 @from_ci
 def test_the_missing_wrench_is_read_from_residuals() -> None:
-    """A known force in the pool is told third by third, within its covariance; so are strokes and fixes."""
+    """A known force in the pool is estimated in each third within its covariance; also strokes and fixes."""
     numbers = {"push": {"value": 1.5e-3, "unit": "N"}, "rate": {"value": 0.7, "unit": "1/s"}}
     law = {"name": "law", "on": "wrench", "x_n": "push * sin(rate * time_s)", "parameters": numbers}
     swims = [make_swim([law], seed, 14) for seed in (1, 2)]

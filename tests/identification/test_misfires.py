@@ -1,4 +1,4 @@
-"""What happens by chance is told from runs: limbs that do nothing, fixes that jump; how often, and which."""
+"""Limbs that do nothing by chance and fixes that jump: how often, and which ones."""
 
 from __future__ import annotations
 

@@ -54,15 +54,15 @@ def swims() -> list[Segments]:
 
 @pytest.fixture(scope="module")
 def found(swims: list[Segments]) -> Outcome:
-    """What identification makes of the worn robot's first runs, the last held out."""
+    """Identification of the worn robot from its first runs; the last one is held out."""
     return known_outcome(swims[:2], swims[2:], *WEAR)
 
 
 @dataclass
 class Tools:
-    """Tables that are a robot's name, known by what they say of a period; counts what was asked of it.
+    """Stands for the tools that build tables: an image is a name, which gives the predictions of a table.
 
-    A period is told by the velocity at its start.
+    A period is recognised by the velocity at its start. Calls are recorded.
     """
 
     answers: Mapping[bytes, np.ndarray]
@@ -103,7 +103,7 @@ def silent(_title: str) -> Iterator[Any]:
 
 
 def right_answers(outcome: Outcome, off_m: float = 0.0) -> np.ndarray:
-    """(n, a, 6) what tables would say that miss each measured end of the test run by so much, forward."""
+    """(n, a, 6) predictions of a table that miss the measured ends of the test run by ``off_m`` forward."""
     (swim,), (rollout,) = outcome.test, outcome.rollouts
     gap = swim.measured - rollout.start[:, :3]
     c, s = np.cos(rollout.start[:, 2]), np.sin(rollout.start[:, 2])
@@ -126,7 +126,7 @@ def tools_of(outcome: Outcome, worn_m: float, nominal_m: float) -> Tools:
 
 @pytest.fixture
 def known(found: Outcome, monkeypatch: pytest.MonkeyPatch) -> Outcome:
-    """Identification gives what it found before."""
+    """Identification that returns the outcome of the fixture ``found``."""
     monkeypatch.setattr(module, "identify", lambda *_args, **_more: found)
     return found
 
@@ -140,7 +140,7 @@ def test_tables_are_judged_by_where_they_say_a_period_ends(found: Outcome) -> No
 
 
 def test_several_periods_ahead_one_look_up_follows_the_other(found: Outcome) -> None:
-    """What a table is off adds up; what the fixes are off where a period begins is a fraction of a mm."""
+    """The error of a table adds up over the periods; that of the start's fixes is a fraction of a mm."""
     tools = tools_of(found, 0.0, 2e-3)
     exact, off = (table_error(tools, image, found, 3) for image in (b"worn", b"nominal"))
     assert exact.count == off.count == 8
@@ -159,7 +159,7 @@ def test_several_periods_ahead_one_look_up_follows_the_other(found: Outcome) -> 
 
 
 def test_starts_are_taken_as_the_camera_shows_them(found: Outcome) -> None:
-    """A camera that shows all places doubled: so are starts, and moves of a table that knows of no camera."""
+    """A camera that doubles all positions doubles the starts; the motions of a table are not scaled."""
     assert found.found is not None
     scale = next(term for term in catalogue(robot()) if term.title == "camera_scale").at((1.25,))
     fitted = found.found.fitted
@@ -353,7 +353,7 @@ def command(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple
 def test_from_logs_to_firmware(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All of it; then again from the tables that it made, which cannot be bettered."""
+    """The whole retune, and a second one from its own tables, which finds nothing to improve."""
     runs = []
     for seed, periods in ((4, 8), (5, 8), (6, 8)):
         runs.append(tmp_path / f"run{seed}.h5")

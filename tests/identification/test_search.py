@@ -1,4 +1,4 @@
-"""A search does not stop in the next dip, fits what few periods show, and takes no relative unasked."""
+"""A search leaves local minima, fits what few periods show, and judges calibrated starts."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_lanes_that_wait_for_a_place_swim_as_they_would_at_once(worn: list[Segme
 
 
 def test_a_step_explains_what_few_periods_show() -> None:
-    """A limb that seldom fires: its periods are wild at first and count little until the step is right."""
+    """The periods of a limb that seldom fires are outliers at first and have little weight until the step."""
     rng = np.random.default_rng(7)
     residuals, jacobian = rng.normal(0.0, 1e-3, (60, 9)), np.zeros((60, 9, 1))
     jacobian[:6, :, 0] = rng.normal(0.0, 0.1, (6, 9))
@@ -100,7 +100,7 @@ def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
 
 @from_ci
 def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> None:
-    """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
+    """A Jacobian a third as large makes the first step three times too long; the fit then refreshes it."""
     model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, fixed=frozenset({1, 2}))
     data = data_of(worn)
     (right,) = derivatives([model], data, fixed=False)
@@ -117,7 +117,7 @@ def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> No
 
 @from_ci
 def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Segments]) -> None:
-    """Frames swing at 40 Hz: half a swing late fits as well as derivatives can tell."""
+    """The frame oscillates at 40 Hz, so a delay of half a period is a local minimum."""
     data = data_of(worn)
     dip = Model(robot(), (term("limb_wear rear_left").at((0.71, 0.0125, 1.0)),), NOISE, fixed=frozenset({2}))
     (taken,) = fit_many([dip], data, 1)
@@ -142,9 +142,9 @@ def test_a_late_limb_is_found_with_its_delay() -> None:
 @from_ci
 @pytest.mark.parametrize(("periods", "released"), [(24, True), (16, False)])
 def test_the_delay_of_a_limb_that_is_also_weak_lies_in_its_interval(periods: int, released: bool) -> None:
-    """The gain alone leaves little more than noise, and the derivative at no delay does not tell of 60 ms.
+    """The gain alone leaves little more than noise, and the derivative at no delay does not show 60 ms.
 
-    In few periods the best of many delays may be chance. None is taken then, but the interval holds it.
+    In few periods the best of many delays may be chance. None is taken then, but the interval contains it.
     """
     planted = {"name": "limb_wear", "limb": "front_left", "gain": 0.7, "delay_s": 0.06}
     data, nominal = nominal_fit([make_swim([planted], seed, periods) for seed in (33, 34)], robot())
@@ -160,7 +160,7 @@ def test_the_delay_of_a_limb_that_is_also_weak_lies_in_its_interval(periods: int
 
 @from_ci
 def test_effects_that_do_the_same_are_named_together() -> None:
-    """Rear limbs that fire after front ones always at one distance: which loss it is, nothing tells."""
+    """Rear limbs always fire at one time after front ones, so the runs cannot show which loss acts."""
     swims = [
         make_swim([{"name": "group_loss", "loss": 0.55, "fade_s": 0.2}], seed, 11, row)
         for seed, row in ((41, "ABCDEFABCDE"), (42, "FEDCBAFEDCB"))
@@ -194,7 +194,7 @@ def test_effects_that_do_the_same_are_named_together() -> None:
 def test_a_calibrated_start_that_does_not_explain_all_is_held_against_a_search(
     monkeypatch: pytest.MonkeyPatch, searched: str, calibrated: str, far: bool, many: bool, taken: str
 ) -> None:
-    """A robot at a wall is as far off as a hull from its drawing."""
+    """A wall causes errors as large as those of a hull that differs from its drawing."""
     rows = np.ones(choice.SEARCHED_MOST + many, dtype=bool)
     verdicts = {"search": searched, "part": searched, "calibrated": calibrated}
     off = PredictionError(*(2.0 * np.array(choice.FAR) if far else 0.5 * np.array(choice.FAR)).tolist(), 10)
@@ -236,9 +236,9 @@ def test_a_search_in_part_is_fitted_to_all_runs(
 @from_ci
 @pytest.mark.parametrize("title", some(["limb_wear rear_left", "drag_scale"], 1))
 def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Segments], title: str) -> None:
-    """Each fold's parameters fitted by simulation on the other folds alone: the search takes derivatives.
+    """Gains by derivatives are compared with fits by simulation without each fold.
 
-    By the right effect and by a wrong one: a search that flattered itself would do so with it.
+    For the true effect and for a false one, whose gain would show if a fold took part in its own fit.
     """
     data = data_of(worn)
     folds = data.folds
@@ -263,10 +263,10 @@ def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Seg
 
 @from_ci
 def test_a_rival_is_not_judged_in_a_dip() -> None:
-    """Every fix late and every limb late are the same swims: the one with a number less is named.
+    """Late fixes and late strokes of all limbs fit equally well: the effect with fewer parameters is named.
 
-    The limb that is worn as well had settled half a swing of the frame late beside the fixes' delay, and two
-    steps of a fit do not get it out of there: "every limb late" was found, and nothing that is like it.
+    In the rival's fit the worn limb is in a local minimum, half an oscillation of the frame late. Two steps
+    of a fit do not leave it, so the rival must also be tried with the worn limb of the refined model.
     """
     worn = {"name": "limb_wear", "limb": "front_left", "gain": 0.88}
     swims = [make_swim([worn, {"name": "fix_latency", "delay_s": 0.062}], seed, 14) for seed in (1, 2)]
@@ -291,11 +291,10 @@ def test_a_rival_is_not_judged_in_a_dip() -> None:
 
 @from_ci
 def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
-    """What a delay does ripples with the frame's swing: its derivatives say nothing of dips farther off.
+    """The deviance oscillates with a delay: derivatives in one local minimum say nothing of the others.
 
-    By these what is put back seemed 100 dearer than it was, and a term that was not the last was not tried:
-    worlds wear + latency/30008 and drag + wear/30006 of ``study verdicts`` ended 50 and 25 above the planted
-    values, with a limb late that was none. Here the derivative is that of a steeper ripple.
+    Fixing the delay at nominal is therefore judged by simulation, in every term and not only the last. The
+    derivative by the delay is made eight times too large here.
     """
     worn = {"name": "limb_wear", "limb": "front_left", "gain": 0.76}
     swims = [make_swim([worn, {"name": "fix_latency", "delay_s": 0.091}], seed, 14) for seed in (1, 2)]
@@ -312,7 +311,7 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
 
 @from_ci
 def test_a_clock_that_drifts_is_found_beside_a_latency_that_stands_for_both() -> None:
-    """A constant delay is fitted to both; the frame rings, and from there derivatives show no drift."""
+    """A latency is fitted to both at first. Because the frame oscillates, derivatives show no drift there."""
     both = [{"name": "clock_drift", "drift": 0.006}, {"name": "fix_latency", "delay_s": 0.09}]
     swims = [make_swim(both, seed, 16) for seed in (1, 2)]
     rivals = [term(name) for name in ("limb_wear all", "fix_latency", "clock_drift", "limb_wear front_left")]

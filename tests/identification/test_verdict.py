@@ -1,4 +1,4 @@
-"""What verdicts stand on: noise of the fixes, repeatability of strokes, the log score on runs kept out."""
+"""What verdicts depend on: noise of the fixes, repeatability of strokes, log score of held-out runs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from frogkick_studies.synthetic_laws import LAWS_TEXT
 
 
 def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Segments], worn: list[Segments]) -> None:
-    """The camera's own 0.2 mm and 0.2 degrees, whatever limbs do; a wild fix now and then is no noise."""
+    """The camera's own 0.2 mm and 0.2 degrees, whatever limbs do; a few outliers do not count."""
     strays = []
     for swim in worn:
         pose = swim.pose.copy()
@@ -69,7 +69,7 @@ def replace_fixes(swim: Segments, count: int) -> Segments:
 
 
 def test_what_strokes_do_differently_is_no_noise_of_the_fixes(whole: list[Segments], tmp_path: Path) -> None:
-    """A limb that misfires in 4 strokes of 10: the floor stays, beside it stands what strokes differ by."""
+    """A limb that misfires in 4 strokes of 10 does not raise the noise floor, but the repeatability."""
     (tmp_path / "mine.py").write_text(LAWS_TEXT)
     table = {"file": str(tmp_path / "mine.py"), "class": "Misfire", "limb": "front_left", "share": 0.4}
     judged = []
@@ -120,7 +120,7 @@ def test_effects_that_make_predictions_worse_are_never_found(
 
 
 def test_blocks_of_periods_tell_how_sure_a_mean_is() -> None:
-    """Of values that go together for a while the interval holds the true mean about as often as it says."""
+    """Intervals of correlated values contain the true mean about as often as they should."""
     rng, inside, apart = np.random.default_rng(4), 0, 0
     for _ in range(300):
         value = np.convolve(rng.normal(0.0, 1.0, 41), np.ones(2) / 2.0, mode="valid")
@@ -136,13 +136,13 @@ def test_blocks_of_periods_tell_how_sure_a_mean_is() -> None:
 @from_ci
 @pytest.mark.parametrize("periods", [12, 20, 40])
 def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None:
-    """Two runs of heavy-tailed misses, 9 to a period, two parameters: once too narrow by up to a third."""
+    """Two runs of heavy-tailed residuals, nine in a period, and two parameters."""
     rng, runs = np.random.default_rng(periods), np.repeat([0, 1], periods)
     draws = count(100, 150)
     far = np.full(2, 10.0)
 
     def inside(shared: bool) -> float:
-        """The share of values within their intervals; ``shared``: neighbours have half a miss in common."""
+        """Share of values in their intervals; ``shared``: neighbours have half of a residual in common."""
         fixed = 0
         for _ in range(draws):
             wild = np.sqrt(DOF / rng.chisquare(DOF, (2, periods + 1, 1)))
@@ -160,9 +160,9 @@ def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None
 
 @from_ci
 def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
-    """Of 20 candidates that are all untrue the best one gains more in about 5 % of all cases.
+    """The best of 20 false candidates gains more than ``gain_by_chance`` in about 5 % of all cases.
 
-    In more where periods share half of each miss with the next: blocks of four cut every fourth tie.
+    The share is larger if neighbours have half of a residual in common, which blocks of four separate.
     """
     rng, runs, price = np.random.default_rng(5), np.repeat([0, 1], 24), 4.0
     draws = count(60, 120)
@@ -200,7 +200,7 @@ def test_a_candidate_that_changes_nothing_gains_nothing_by_chance() -> None:
 def test_what_does_not_help_on_runs_kept_out_is_left_out(
     whole: list[Segments], worn: list[Segments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A limb worn in the training runs, whole in the test run: the nominal model is given back."""
+    """A limb is worn in the training runs and new in the test run: the nominal model is returned."""
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_args: [term("limb_wear rear_left")])
     monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
     outcome = identify(worn, whole[:1], robot())
@@ -220,7 +220,7 @@ def test_what_does_not_help_on_runs_kept_out_is_left_out(
 
 
 def test_a_short_test_run_is_judged_by_its_whole_gain() -> None:
-    """Eight of nine periods gain three nats each and one loses four: the interval of the mean holds zero."""
+    """Eight of nine periods gain three nats each and one loses four, so the mean's interval contains zero."""
     gain = Interval("log score gain", 2.28, -1.47, 5.64, "nats per period")
     before, after = PredictionError(1.3e-3, 4.7e-3, 9), PredictionError(0.55e-3, 3.5e-3, 9)
     short = Scored(before, after, PredictionError(0.33e-3, 4.1e-3), gain)
@@ -233,7 +233,7 @@ def test_a_short_test_run_is_judged_by_its_whole_gain() -> None:
 
 
 def rested(seed: int, frames: int) -> Segments:
-    """A run whose frames before the first stroke have wrong times, but for the last; the first ones still."""
+    """A run whose frames before the first stroke have wrong times, except the last; the robot is at rest."""
     run, rng = make_run([], seed, 6), np.random.default_rng(seed)
     first = int(np.searchsorted(run.fixes.capture_time_s, START_S)) - 1
     pose = run.fixes.pose_world
@@ -255,7 +255,7 @@ def rested(seed: int, frames: int) -> Segments:
 
 
 def test_a_robot_seen_at_rest_is_known_to_rest() -> None:
-    """Real frames with wrong times before the first stroke say nothing of when, and that nothing moved."""
+    """Frames with wrong times before the first stroke still show that the robot did not move."""
     known = rested(3, 60)
     unknown = replace(known, rest_rate=None)
     assert known.rest_rate is not None and max(known.rest_rate[:2]) < 1e-3
@@ -276,7 +276,7 @@ def test_recorded_runs_that_begin_with_hardly_a_fix_have_the_floor_of_the_others
 
 @from_ci
 def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(frog2022_dir: Path) -> None:
-    """Five logs of the simulated pool, a front limb idle in 3 strokes of 10: once "found" as ten effects."""
+    """Five logs of the simulated pool in which a front limb does nothing in 3 strokes of 10."""
     folder = frog2022_dir.parent / "misfire"
     if not folder.is_dir():
         pytest.skip("no logs of misfires beside the recorded runs")
@@ -291,7 +291,7 @@ def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(frog2022_dir: Pat
 
 
 def test_what_moves_the_misses_moves_the_parameters() -> None:
-    """Misses that a parameter explains move it by as much, whatever the others; what none explains, none."""
+    """A change of the residuals moves the parameter that explains it by as much, and no other one."""
     rng = np.random.default_rng(4)
     jacobian = rng.normal(size=(200, 9, 2))
     residuals = 1e-3 * rng.normal(size=(200, 9))

@@ -22,7 +22,7 @@ class ArgumentError(InputError, TypeError):
 
 
 def typed(called: Called) -> Called:
-    """Tell of arguments that do not have their declared types; decorates a function or a class.
+    """Name arguments that do not have their declared types in an error; decorates a function or a class.
 
     A switch or a function is checked before the call: any text is true, even 'False', and a callback is
     called late. Any other argument is only looked at if the call fails by an error that is not frogkick's:

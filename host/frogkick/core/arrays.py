@@ -39,8 +39,8 @@ def solve_positive(matrix: Float64, right: Float64, least: float = 1e-300) -> Fl
     Args:
         matrix: (..., n, n) symmetric, positive definite.
         right: (..., n, c) right sides.
-        least: lower bound of the squared pivots. As it is by default it keeps roots real and no more: the
-            diagonal of a matrix that may be singular needs a ridge.
+        least: lower bound of the squared pivots. The default only keeps roots real: a matrix that may be
+            singular needs a ridge on its diagonal.
 
     Returns:
         (..., n, c).

@@ -41,7 +41,7 @@ CONNECT_S = 30
 WORKERS_S = 30
 """Longest time until the scheduler has a first worker."""
 
-_RETRIES = 2  # of a chunk that raised, a connection lost within it say; a worker's death is not counted here
+_RETRIES = 2  # of a chunk that raised, as where it lost a connection; a worker's death is not counted here
 _ADDRESS = re.compile(r"(?:(?:tcp|tls)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:\[\]@]+):(\d{1,5})")
 
 

@@ -70,7 +70,7 @@ class PredictionError:
         return self.position_rmse_m, self.heading_rmse_rad
 
     def as_json(self) -> dict[str, float]:
-        """The keys of the commands."""
+        """Its keys in the JSON of commands."""
         return {"position_rmse_m": self.position_rmse_m, "heading_rmse_rad": self.heading_rmse_rad}
 
     def __str__(self) -> str:

@@ -398,7 +398,3 @@ class Batch:
         """Return (lanes, n, 2) node positions, m, world frame, in the order of ``Mesh``."""
         nodes = np.moveaxis(lane_floats(self._state.nodes.x_m), 2, 0)[: self.lanes]
         return np.asarray(nodes + self._origin[:, None, :])
-
-    def node_velocities_world(self) -> Float64:
-        """Return (lanes, n, 2) node velocities, m/s, world frame."""
-        return np.moveaxis(lane_floats(self._state.nodes.v_mps), 2, 0)[: self.lanes].copy()

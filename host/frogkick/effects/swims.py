@@ -198,15 +198,12 @@ def simulate_actions(
     robot: Robot,
     actions: Sequence[Action | str],
     velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
-    *,
-    step_s: float = STEP_S,
 ) -> Trajectory:
     """Simulate a sequence of actions, one each Robot.period_s, heading along world x at the start.
 
     Args:
         actions: its actions, or their names.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
-        step_s: finest time step.
 
     Raises:
         InputError: no action, or an unknown one.
@@ -221,18 +218,12 @@ def simulate_actions(
         for stroke in program_of(robot, action, index * robot.period_s)
     ]
     time_s = sample_times(robot.period_s, len(chosen))
-    motions = simulate_many(
-        rods_of(robot),
-        np.array([velocity_body], dtype=np.float64),
-        [program],
-        time_s[1:],
-        step_s=step_s,
-        width=1,
-    )
+    start = np.array([velocity_body], dtype=np.float64)
+    motions = simulate_many(rods_of(robot), start, [program], time_s[1:], width=1)
     if motions.failures:
         raise ConvergenceError(f"rods of {robot.id!r} {motions.failures[0]}")
     pose = np.concatenate([np.zeros((1, 3)), motions.pose_world[0]])
-    velocity = np.concatenate([np.array([velocity_body], dtype=np.float64), motions.velocity_body[0]])
+    velocity = np.concatenate([start, motions.velocity_body[0]])
     straight = math.hypot(*pose[-1, :2])
     pulses = sum(mask.bit_count() for _, mask in program)
     speed_mps = straight / float(time_s[-1])

@@ -1,5 +1,6 @@
-"""Effects that were taken one by one, revised together: swap steps, backward elimination, stability
-selection. The first one that is taken stands in for those that have not come yet.
+"""Effects that were taken one by one, revised together: swaps, backward elimination, stability selection.
+
+The first effect that a search takes may stand for several that it finds later.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from frogkick.core.arrays import Float64, Int64
-from frogkick.identification.steps import DOF, whitener
+from frogkick.identification.steps import DOF, whiten, whitener
 
 CONFIDENCE = 0.95
 
@@ -159,16 +159,11 @@ def gain_by_chance(
     (correction for few rows).
     """
     white = whitener(residuals)
-    rows = residuals @ white
-    weight = np.sqrt((DOF + rows.shape[1]) / (DOF + (rows**2).sum(axis=1)))
+    left, own = whiten(white, residuals, jacobian)
     first = np.searchsorted(runs, runs)  # of each period's run
     block = np.unique(np.stack([runs, (np.arange(len(runs)) - first) // BLOCK]), axis=1, return_inverse=True)[
         1
     ]
-
-    def weighed(columns: Float64) -> Float64:
-        whole = np.einsum("nip,ij->njp", columns, white) * weight[:, None, None]
-        return np.asarray(whole.reshape(residuals.size, -1))
 
     # The deviance falls further than its quadratic form where weights and scale are fitted as well.
     count, dimensions = residuals.shape
@@ -178,12 +173,12 @@ def gain_by_chance(
         * count
         / max(count - 0.5 * (dimensions + 1) - jacobian.shape[2], 1.0)
     )
-    own = np.linalg.qr(weighed(jacobian))[0]
-    left, label = (rows * weight[:, None]).ravel(), np.repeat(block.ravel(), residuals.shape[1])
+    own = np.linalg.qr(own)[0]
+    label = np.repeat(block.ravel(), dimensions)
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (FLIPS, int(label.max()) + 1))
     best = np.zeros(FLIPS)
     for candidate in candidates:
-        columns = weighed(candidate)
+        _, columns = whiten(white, residuals, candidate)
         columns = columns - own @ (own.T @ columns)
         basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         basis = basis[:, sizes > 1e-6 * max(sizes[0], 1e-300)]

@@ -287,7 +287,7 @@ class Drift:
     huber_sigma: tuple[float, ...]  # (3,) clipping threshold of innovations, in that size
 
     def as_json(self) -> dict[str, list[float]]:
-        """The key ``drift`` of the command."""
+        """The key ``drift`` of the command ``identify``."""
         return {"size": list(self.size), "wander": list(self.random_walk), "cut": list(self.huber_sigma)}
 
     def followed(self, rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robot) -> list[Rollout]:
@@ -317,6 +317,7 @@ def filter_offsets(observed: Float64, firing: Bool, random_walk: float, huber_si
         observed: (m,) residual of each period, in units of the residuals' size; NaN if unknown.
         firing: (m, limbs) whether a limb fires in a period.
         random_walk: variance that each limb's offset gains in a period; 0: offsets stay at 0.
+        huber_sigma: innovations are clipped at this many times the residuals' size.
     """
     expected = np.zeros(len(observed))
     if not random_walk:

@@ -103,7 +103,7 @@ class Experiment:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """The key of the command."""
+        """The key ``experiment`` of the command ``identify``."""
         return {
             "between": list(self.between),
             "actions": self.sequence,

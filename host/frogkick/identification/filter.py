@@ -72,12 +72,6 @@ class Filter:
         self._fix, self._idle, self._actuated = self.noise.per_axis()
         self.covariance = np.column_stack([4.0 * self._fix, np.zeros(3), np.square(np.array(self.rate_std))])
 
-    def predict(self, time_s: float) -> None:
-        """Predict to a later time."""
-        self.time_s = _predict_to(
-            self.error, self.covariance, self.time_s, time_s, self.actuated_s, self._idle, self._actuated
-        )
-
     def update(self, time_s: float, difference: Float64) -> tuple[Float64, Float64]:
         """Update by a fix: (3,) fix minus simulation. Return innovation and its variance, (3,) each."""
         innovation, variance = self.update_all(np.array([time_s]), difference[None, :])

@@ -82,7 +82,7 @@ class Model:
 
     @property
     def parameters(self) -> list[Parameter]:
-        """What ``values`` are of."""
+        """Declarations of the parameters, in the order of ``values``."""
         return [parameter for term in self.terms for parameter in term.parameters]
 
     @property
@@ -92,7 +92,7 @@ class Model:
 
     @property
     def reach(self) -> Float64:
-        """High minus low of each."""
+        """(p,) upper bounds minus lower bounds."""
         low, high = self.bounds
         return np.asarray(high - low, dtype=np.float64)
 

@@ -32,7 +32,7 @@ class Horizon:
     after: PredictionError
 
     def as_json(self) -> dict[str, Any]:
-        """One of ``test.horizons``."""
+        """One of ``test.horizons`` of the command ``identify``."""
         return {
             "periods": self.periods,
             "before": self.before.as_json(),

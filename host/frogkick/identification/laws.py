@@ -53,7 +53,9 @@ class Laws:
     ) -> None:
         """Evaluate every kind of law at every shape of its grid."""
         self._responses, self._limbs = responses, [limb.name for limb in robot.limbs]
+        # kind, size of the step, indices of the shapes of its grid that act, and their (k, n, 9, p) columns
         self._grids: list[tuple[Kind, float | None, list[int], Float64]] = []
+        # kind that acts at intervals, (k, b) bins in which each shape acts, and their (b, n, 9, p) columns
         self._bins: list[tuple[Kind, Float64, Float64]] = []
         end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
         bin_s = max(BIN_S, end_s / BINS_MOST)

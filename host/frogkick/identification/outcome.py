@@ -79,7 +79,7 @@ class Followed:
     rollouts: list[Rollout]
 
     def as_json(self) -> dict[str, Any]:
-        """The key ``test.followed`` of the command."""
+        """The key ``test.followed`` of the command ``identify``."""
         return {"before": self.before.as_json(), "after": self.after.as_json()}
 
 
@@ -174,7 +174,7 @@ class Outcome:
         )
 
     def effects_as_json(self) -> list[dict[str, Any]]:
-        """The key ``effects`` of the command."""
+        """The key ``effects`` of the command ``identify``."""
         return [effect.as_json() for effect in self.effects]
 
     @cached_property
@@ -200,7 +200,7 @@ class Outcome:
         }
 
     def tested_as_json(self) -> dict[str, Any]:
-        """Errors on the test runs, also several periods ahead and with drift tracked."""
+        """The key ``test`` of the command ``identify``."""
         return {
             **self.tested.as_json(),
             "followed": None if self.followed is None else self.followed.as_json(),
@@ -208,7 +208,7 @@ class Outcome:
         }
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """The keys of the command ``identify``."""
         return {
             "verdict": self.verdict,
             "effects": self.effects_as_json(),

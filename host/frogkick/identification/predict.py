@@ -110,7 +110,7 @@ class LaneState:
         periods = len(swim.start_s)
         self.filter = Filter(self.lane.noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
         self.camera_effects = [effect for effect in self.lane.effects if effect.overrides("fix")]
-        self.corrected_s = swim.begin_s  # the latest
+        self.corrected_s = swim.begin_s  # time of the latest correction
         self.next_fix = int(np.searchsorted(swim.time_s, swim.begin_s))
         self.next_stroke = self.next_segment = 0
         self.times, self.poses = np.empty(0), np.empty((0, 3))
@@ -118,7 +118,8 @@ class LaneState:
         self.predicted = np.full((periods, 3), np.nan)
         self.start = np.full((periods, 6), np.nan)
         self.residuals = np.full((periods, 3 * len(PHASES)), np.nan)
-        self.rows = [(np.empty(0), *[np.empty((0, 3))] * 2)]  # of each correction, for Rollout
+        # time_s, innovation and difference of Rollout, from each correction
+        self.rows = [(np.empty(0), *[np.empty((0, 3))] * 2)]
         self.failed = False
 
     @property

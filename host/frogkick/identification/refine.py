@@ -38,7 +38,7 @@ GRID_STARTS = 3
 FEW_PERIODS_MAX = 3.0  # gains of few periods are overestimated, at most by this factor
 
 NOISE_OF_MISFIT = (5e-5, 2e-3)
-"""Process noise while limbs straighten (see Noise.actuated) beyond which a model still misfits."""
+"""Process noise, as in ``Noise.idle`` and ``Noise.actuated``, beyond which a model still misfits."""
 
 REFIT_MARGIN = 60.0  # a model that is worse by more than this before its fit is not fitted
 STEPS_MAX = 6  # steps of a fit at most; most converge after two

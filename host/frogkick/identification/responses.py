@@ -37,7 +37,7 @@ determine the velocity at a period's start only in part. Forces act without a br
 force in all periods is the better approximation."""
 PUSHES = (1e-3, 1e-3, 2e-5)
 """Simulated force forward, left (N) and torque counter-clockwise (N m): small compared with a stroke."""
-FLOW_MPS = 2e-3
+FLOW_MPS = 2e-3  # simulated flow
 LOSSES = (0.15, 0.45, 0.75, 1.0)
 """Simulated losses of a stroke's gain. Several, because a much weaker limb pushes in another direction."""
 LEG_S = 0.12  # time between evaluations of forces and flows while responses are simulated

@@ -202,6 +202,8 @@ def _misfits(fitted: Fitted) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _ForwardSelection:
+    """Iterations of a search: from a model to one with one more effect."""
+
     data: Data
     columns: Sequence[Column]
     laws: Laws | None = None
@@ -278,7 +280,7 @@ class _ForwardSelection:
     def judged(
         self, current: Fitted, least: float, candidate: Screened, fitted: Fitted
     ) -> tuple[float, Fitted, CandidateScore]:
-        """The score of a fitted candidate (-inf where it is not good enough), its fit, and what to tell."""
+        """Score of a fitted candidate (-inf if it is not good enough), its fit, and its entry in reports."""
         penalty = PARAMETER_PENALTY * (len(candidate.values) - len(candidate.fixed))
         fall = held_out_gain(current, fitted, self.data.folds)
         score = (current.deviance - fitted.deviance) / self.data.replicate_count - penalty

@@ -19,7 +19,7 @@ from frogkick.runs.recorded.importer import clock_problem, load_run
 from frogkick.runs.runlog import FixFlag, RunLog
 
 LEAD_S = 1.0  # how long before the first stroke the simulation starts
-ACTUATION_S = 0.3  # how long after a pulse's start its limb pushes hardest
+ACTUATION_S = 0.3  # a limb pushes hardest within this time after its pulse starts
 
 _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
 """Fixes from this time before a period's end to this time after it determine the pose there: the robot
@@ -36,11 +36,10 @@ _STILL = 8  # number of fixes at rest that distinguish one camera's noise from a
 _UNTIMED = int(FixFlag.UNTRUSTED_TIME | FixFlag.AT_REST)
 _REST_BLOCK_S = 1.0  # means over this time at rest are compared: the noise of the fixes is small in them
 
-FOLDS_MIN = 4
+FOLDS_MIN = 4  # fewer runs than this are cut into parts for the folds of a cross-validation
 
-PERIODS_LEAST = 20
-ACTIONS_LEAST = 2
-MOTION_LEAST_M = 0.01
+PERIODS_LEAST, ACTIONS_LEAST, MOTION_LEAST_M = 20, 2, 0.01
+"""Periods, different actions, and extent of the motion along an axis that a search needs at least."""
 
 _ABSENT = int(FixFlag.MISSING | FixFlag.DUPLICATE)
 _SPOILED = _ABSENT | int(FixFlag.MISDETECTION | FixFlag.JUMP)
@@ -147,7 +146,7 @@ class Segments:
         return found
 
     def pose_at(self, at_s: float) -> Float64:
-        """(3,) pose by a straight line through the fixes just before a time; NaN if there are too few."""
+        """(3,) pose at a time by a line through the fixes around, most of them before; NaN if too few."""
         near = self._near(at_s)
         if near is None:
             return np.full(3, np.nan)

@@ -1,8 +1,8 @@
 """The likelihood of residuals, one for all of identification, and Gauss-Newton steps on it.
 
 Residuals are Student-t distributed with DOF degrees of freedom. The scale matrix is always the one of maximum
-likelihood, so a residual that grows in its own direction never raises the likelihood, however small the core
-of good predictions is. "Deviance" is minus twice the log likelihood throughout.
+likelihood, so a fit cannot gain by making a large residual larger, however precise most predictions are.
+"Deviance" is minus twice the log likelihood throughout.
 
 Source: Lange, Little, Taylor 1989, Robust statistical modeling using the t distribution; the scale is
 iterated by Liu, Rubin, Wu 1998, Parameter expansion to accelerate EM.

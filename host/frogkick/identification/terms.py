@@ -114,7 +114,7 @@ class FoundEffect:
     stability: float
 
     def as_json(self) -> dict[str, Any]:
-        """One of ``effects``."""
+        """One of ``effects`` of the command ``identify``."""
         return {
             "name": self.name,
             **self.options,

@@ -203,7 +203,7 @@ def log_score_gain(
 
 
 def discretisation_shift(fitted: Fitted, data: Data) -> Float64:
-    """(p,) shift of the parameters due to discretisation: with steps as short as the simulated pool's."""
+    """(p,) shift of the parameters if runs were simulated with steps as short as the simulated pool's."""
     if not fitted.jacobian.shape[2]:
         return np.empty(0)
     fine = replace(fitted.model, step_s=der.STEP_S, leg_s=LEG_S)
@@ -215,7 +215,8 @@ def discretisation_shift(fitted: Fitted, data: Data) -> Float64:
 def intervals(fitted: Fitted, data: Data, bias: Float64 | None = None) -> list[list[Interval]]:
     """Intervals of each term's parameters: each contains its true value with probability CONFIDENCE.
 
-    The fit is at its best, with derivatives by all its parameters. ``bias`` (p,) is besides chance.
+    The fit is at its optimum and has derivatives by all its parameters. ``bias`` (p,) and a parameter's
+    tolerance are deviations not by chance, which are added as the root of the sum of squares.
     """
     from scipy import stats
 
@@ -270,7 +271,7 @@ class Scored:
         noise_floor: see ``noise_floor``.
         gain: gain of the log score, see ``log_score_gain``; None without effects.
         repeatability: see ``repeatability``.
-        by_chance: strokes fail by chance: errors may stay about the repeatability.
+        by_chance: whether strokes fail by chance; errors may then remain as large as the repeatability.
     """
 
     before: PredictionError
@@ -307,7 +308,7 @@ class Scored:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """The key ``train`` of the command ``identify``; the key ``test`` has more."""
         gain = self.gain
         return {
             "before": self.before.as_json(),
@@ -328,8 +329,8 @@ def scored(
     """Evaluate both models on runs by their rollouts; replicates with the same noise count once.
 
     Args:
-        raw: the training runs and those to judge as they are, which ``before`` is held against, where fixes
-            that jumped were taken out; None if none were.
+        raw: the training runs and ``swims`` with all their fixes, where those that jumped were taken out;
+            ``before`` is compared with these. None if no fix was taken out.
     """
     train = found.data.swims
     raw = raw or (train, swims)

@@ -118,7 +118,7 @@ class PtyLine:
         try:
             while not self._closing.is_set():
                 if not self._turn():
-                    time.sleep(0.0005)  # whoever wants the lock gets it
+                    time.sleep(0.0005)  # another thread that waits for the lock gets it
         except Exception as error:  # for the owner of the line, who looks at it
             self.error = error
 

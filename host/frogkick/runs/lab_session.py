@@ -22,8 +22,6 @@ from frogkick.tables.image import Tables
 RESEND_S = 0.25
 LOOK_S = 0.1
 """Longest wait. If the clock is set back during a wait, this is noticed only afterwards."""
-TIMED = ("FIX", "STROKE")
-"""Commands that are useless later, so they are never sent again."""
 ANSWER_S = 2.0
 """Shortest timeout of an answer, because a busy host may itself be late."""
 HELLO_TRIES = 2
@@ -54,7 +52,8 @@ class LabPort:
     """A ``RobotPort`` over a wire. Its clock is this computer's, from 0 at the port's start.
 
     At most ``window`` commands wait for answers; a command without an answer is sent again, and the robot
-    acts on it once. Position fixes overtake commands and are never sent again. Pin edges cannot be observed.
+    acts on it once. Position fixes overtake commands. They and STROKE, useless later, are never sent again.
+    Pin edges cannot be observed.
 
     Attributes:
         wire: the wire.
@@ -89,7 +88,7 @@ class LabPort:
 
     def send(self, encoded: bytes, at_s: float) -> None:
         """Send a frame now; ``at_s`` only matters in simulated time."""
-        frame = unpack_frame(encoded[:-1])
+        frame = unpack_frame(encoded[:-1])  # a port gets bytes alone, as the robot does
         if frame.name == "FIX":
             self.wire.send(encoded, Delivery.NEWEST)
             return
@@ -149,7 +148,7 @@ class LabPort:
             is_late = now_s - command.sent_s >= RESEND_S or command.connection != self.wire.connections
             if command.sent_s < 0.0 or not is_late:
                 continue
-            if command.name in TIMED:
+            if command.name == "STROKE":  # useless later
                 self.forget(command.sequence)
             else:
                 self.resent += 1
@@ -190,7 +189,7 @@ class LabSession(Session):
             self._compare_clocks()
 
     def _forward_s(self) -> float:
-        """The current time."""
+        """The current time. LinkError: it is before that of the last step."""
         now_s = self.port.now_s
         if now_s < self.time_s - CLOCK_BACK_S and not self._clock_failed:
             self._clock_failed = True  # so that disarming the robot does not raise again

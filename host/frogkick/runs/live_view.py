@@ -22,8 +22,8 @@ from frogkick.runs.tracked_fixes import CameraView
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 
-FIXES_SHOWN = 600
-DECISIONS_SHOWN = 60
+FIXES_SHOWN, TRACK_SHOWN, DECISIONS_SHOWN = 600, 2400, 60
+"""The largest number of fixes, true poses and decisions that are drawn: the newest ones."""
 
 
 def fan_of(tables: Tables, state: Float32, limb_use: tuple[int, ...]) -> Float64:
@@ -89,12 +89,12 @@ class LiveView:
             self._decisions = len(recording.decisions)
             self.path = recording.then[-1].path if recording.then else recording.path
             self._plan(recording, self.path)
-        truth = [] if recording.pool is None else recording.pool.truth.pose_world
+        truth = [] if recording.pool is None else recording.pool.truth.pose_world[-TRACK_SHOWN:]
         self.show_fixes(recording.fixes, np.array(truth).reshape(-1, 3), recording.ended)
 
     def show_fixes(self, fixes: Sequence[Fix], track: Float64 | None = None, ended: str = "") -> None:
         """Show fixes, the (n, 3) true poses of a simulated pool, and why a run ended."""
-        poses = np.array([fix.pose_world for fix in fixes]).reshape(-1, 3)
+        poses = np.array([fix.pose_world for fix in fixes[-FIXES_SHOWN:]]).reshape(-1, 3)
         self._write(
             poses, np.zeros((0, 3)) if track is None else track, fixes[-1].delay_s if fixes else None, ended
         )
@@ -128,7 +128,7 @@ class LiveView:
 
     def _write(self, fixes: Float64, track: Float64, age_s: float | None, ended: str) -> None:
         """Write the state with (n, 3) fixes and (m, 3) true poses."""
-        fixes, track = fixes[-FIXES_SHOWN:], track[-4 * FIXES_SHOWN :]
+        fixes, track = fixes[-FIXES_SHOWN:], track[-TRACK_SHOWN:]
         state = {
             "path": np.zeros((0, 2)) if self.path is None else self.path.points_m,
             "fixes": fixes,

@@ -36,7 +36,7 @@ from frogkick.tables.image import Tables
 LEAD_IN_S = 1.0  # robot time before the recorded run's time zero, for path and parameters
 START_AHEAD_S = 0.2  # from ARM and START to the first decision
 STEP_S = 0.02
-_AHEAD_US = 6000  # a fix is sent this long before the decision before which it was received
+_AHEAD_US = 6000  # a fix is sent at least this long before the decision that the recorded robot used it in
 _PATH_US = 25_000  # longest time of a part of a path on the line
 _COORDINATE_MOST = 1e6  # limit of a fix, m or rad: beyond any pool, and within float32
 

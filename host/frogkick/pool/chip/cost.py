@@ -3,9 +3,10 @@
 Source: Arm, Cortex-M4 Technical Reference Manual r0p1 (DDI 0439D), tables 3-1 and 7-1 and section 3.3.2;
 Nordic, nRF52832 Product Specification, chapter CPU, wait states. Where they give a range, its upper end:
 
-- a load takes 2 cycles, a store 2, one with an immediate offset 1, n words 1 + n; a load or store behind a
-  load takes one less, unless its address needs that load; an address that the instruction before has made
-  costs one more, one beside the program counter one more; an unaligned one is two or three, a cycle each;
+- a load takes 2 cycles, a store 2, or 1 with an immediate offset, n words 1 + n; a load or store right after
+  a load takes one less, unless its address needs that load; it takes one more if the instruction before has
+  computed its address, and if the address is relative to the program counter; an unaligned access counts as
+  two or three, a cycle each;
 - UDIV and SDIV take 12 of 2 to 12, VDIV and VSQRT 14, multiplications 1, with an addition 2 (VMLA 3), between
   core and float registers 2; a float result that the next instruction needs costs one more;
 - wherever the next instruction is not the next in memory, 3 of 1 to 3 cycles refill the pipeline;

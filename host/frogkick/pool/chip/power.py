@@ -22,9 +22,9 @@ HFINT_PERCENT: Final = 108
 class Timer(Peripheral):
     """A timer with four compare registers.
 
-    It counts by the crystal, or before that runs by the internal oscillator, slower. START begins a full tick
-    of the prescaler; CLEAR begins the tick anew. A compare value that equals the counter when it is written
-    matches only after the counter has gone all the way round.
+    It counts by the crystal, or, until that runs, by the internal oscillator, which may be slower. START
+    begins a full tick of the prescaler; CLEAR begins the tick anew. A compare value that equals the counter
+    when it is written matches only after the counter has gone all the way round.
     """
 
     REGISTERS = [

@@ -20,14 +20,14 @@ from frogkick.pool.chip.emulator import (
 )
 
 _LONGEST: Final = 2_000_000_000
-"""Instructions of a call that does not end."""
+"""A call that takes more instructions is taken for one that never ends."""
 
 
 class UncountedCalls:
     """Calls functions of a booted firmware, in a copy of its memory, with an empty stack.
 
-    The instructions are the same, but nothing is counted or watched, which takes nine tenths of a virtual
-    chip's time: for functions of which only the bits matter, and that touch nothing but flash and RAM.
+    The instructions are the same, without counting cycles and watching accesses, which take nine tenths of a
+    virtual chip's time. It suits functions of which only the results matter, and that use only flash and RAM.
     """
 
     def __init__(self, chip: VirtualChip) -> None:

@@ -1,8 +1,9 @@
 """Estimates the stroke clock of a recorded run: the constant period of its strokes, which is not recorded.
 
-A label that first occurs in row i was set between rows i-1 and i, so each change of label bounds phase + k *
-period by two time stamps. Half the period fits these bounds too, and sometimes twice the period. The robot's
-speed resolves this: it has its fundamental at 1 / period and nothing below.
+Each row has the label of the action at that time. A label that first occurs in row i was set between rows
+i-1 and i, so each change of label bounds phase + k * period by two time stamps. Half the period fits these
+bounds too, and sometimes twice the period. The robot's speed resolves this: it has its fundamental at
+1 / period and nothing below.
 
 The search covers all periods that the robot allows, with slips (see ``periods``). The labels' bounds leave a
 small polygon of (period, phases): its centroid is the estimate and its spread the uncertainty (uniform).

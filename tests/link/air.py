@@ -49,14 +49,14 @@ class Peripheral:
     """A robot on a radio.
 
     Attributes:
-        robot: what takes the bytes; None: it answers nothing.
-        name: as it advertises.
-        mtu: what its radio takes at most.
-        has_characteristics: holds the service that it advertises.
-        wants_pairing: refuses to be written to.
-        asleep: it does not advertise.
+        robot: takes the bytes; None: it answers nothing.
+        name: its advertised name.
+        mtu: largest MTU of its radio.
+        has_characteristics: whether it has the service that it advertises.
+        wants_pairing: whether it refuses writes without pairing.
+        asleep: whether it does not advertise.
         written: length of each write.
-        connections: so far.
+        connections: number of connections so far.
     """
 
     robot: Listener | None
@@ -136,10 +136,10 @@ class Peripheral:
 
 
 class Air:
-    """What robots and host have in common. It lives in the event loop of whoever scans in it first.
+    """The virtual radio between robots and host. It lives in the event loop of the first scan.
 
     Attributes:
-        writes: of the host: bytes, and whether with response.
+        writes: the host's writes: bytes, and whether with response.
     """
 
     now: ClassVar[Air]
@@ -152,7 +152,7 @@ class Air:
 
     @classmethod
     def keep(cls, coroutine: Any) -> None:
-        """Let it run to its end."""
+        """Run a task to its end."""
         task = asyncio.ensure_future(coroutine)
         cls._kept.add(task)
         task.add_done_callback(cls._kept.discard)
@@ -311,7 +311,7 @@ class VirtualClient(BaseBleakClient):
 
 
 def breathe(monkeypatch: pytest.MonkeyPatch, *robots: Peripheral) -> Air:
-    """Let bleak find these robots, and no others."""
+    """Let bleak find these robots and no others."""
     logging.getLogger("bumble").setLevel(logging.CRITICAL)
     Air.now = Air(*robots)
     monkeypatch.setattr(bleak, "get_platform_scanner_backend_type", lambda: (VirtualScanner, "virtual"))

@@ -12,8 +12,9 @@ from frogkick.runs.decision import warm_up
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
-    """Estimator and planner, as ``front.bench`` does before a run: robots here swim by the clock.
+    """Compile estimator and planner, as ``front.bench`` does before a run.
 
-    In a fresh clone a run on the host would wait for the compiler for a second and more, while its fixes age.
+    Robots here swim in real time: in a fresh clone a run on the host compiles for a second and more, while
+    its fixes age.
     """
     warm_up(rig.tables(), shape("line"), PlanConfig())

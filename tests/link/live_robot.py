@@ -1,4 +1,4 @@
-"""The robot's core living in real time, for transports to talk to: bytes in, bytes out."""
+"""The robot's core in real time, for tests of transports: bytes in, bytes out."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from frogkick.link.frames import Frame, FrameError, unpack_frame
 
 
 class PatientClock:
-    """Time in which everything that lives here had its turn.
+    """A clock that counts a pause of the process as 0.02 s.
 
-    A busy machine lets no process run for a while now and then; a robot in real time would lose its fixes by
-    that. Such a pause counts as a moment.
+    A busy machine lets no process run now and then, and a robot in real time would lose its fixes by that.
     """
 
     MOMENT_S = 0.02
@@ -40,12 +39,13 @@ class LiveRobot:
     """A robot just switched on: the C core with its table store, on a flash that outlives a restart.
 
     Attributes:
-        built_in: table in its firmware.
-        on_for_s: how long it has been switched on already.
-        pulses: (clock s, limb mask, length us) of each that began, at the time that the core was told.
-        heard: frames that it was given whole, with their clock.
-        mute: it takes frames and never answers.
-        deaf_to: says of a frame whether it is lost on its way in.
+        built_in: the table in its firmware.
+        clock: real time, s.
+        on_for_s: time since it was switched on, when it begins.
+        pulses: (clock s, limb mask, length us) of each pulse that began.
+        heard: the undamaged frames that it received, with their times.
+        mute: whether it takes frames and never answers.
+        deaf_to: whether a frame is lost before it arrives.
     """
 
     built_in: bytes = field(default_factory=lambda: rig.small_table().read_bytes())
@@ -63,7 +63,7 @@ class LiveRobot:
         self.restart()
 
     def restart(self) -> None:
-        """Power off and on: disarmed, no path, a clock from 0, and the table that its flash says."""
+        """Power off and on: disarmed, no path, a clock from 0, and the table that its flash selects."""
         with self._one_at_a_time:
             self.flash.boot()
             self.core = Robot(self.flash.image, 0)
@@ -79,7 +79,7 @@ class LiveRobot:
 
     @property
     def sleep_s(self) -> float:
-        """Until it wants a tick, at most 0.02 s."""
+        """Time until its next tick, at most 0.02 s."""
         return min(0.02, max(0.0, (self._next_tick_us - self.now_us) * 1e-6))
 
     def feed(self, data: bytes) -> bytes:
@@ -103,11 +103,11 @@ class LiveRobot:
             return self._turn(b"") if self.now_us >= self._next_tick_us else b""
 
     def names(self) -> list[str]:
-        """Names of the frames heard."""
+        """Names of the frames received."""
         return [frame.name for _, frame in self.heard]
 
     def left_alone(self) -> bool:
-        """DISARM was heard, and after the last one only questions, and fixes that were on their way."""
+        """Whether the last commands were DISARM and queries, besides fixes that were on their way."""
         *_, rest = " ".join(self.names()).rpartition("DISARM")
         return "DISARM" in self.names() and set(rest.split()) <= {"STATUS", "FIX"}
 

@@ -1,4 +1,4 @@
-"""A robot behind each transport, for tests that hold on all of them."""
+"""A robot behind each transport, for tests that hold for all transports."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Rigged:
     """A wire to a robot.
 
     Attributes:
-        target: what a user gives for it.
-        drop: cuts the connection; it can be had again at once.
-        away: cuts it, for good.
+        target: the address that a user gives for it.
+        drop: cuts the connection, which can be made again at once.
+        away: cuts the connection for good.
     """
 
     wire: Wire

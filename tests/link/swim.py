@@ -1,4 +1,4 @@
-"""A tracker over a simulated pool that swims in real time with a live robot; and a robot that obeys text."""
+"""A tracker over a simulated pool in real time; and a robot that obeys lines of text."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PATH = "line"
 
 
 class LivePool:
-    """A ``FixSource``: the pool swims as the clock goes, by the pulses that the robot really began.
+    """A ``FixSource``: a pool in real time, in which the robot swims by the pulses that it really began.
 
     Args:
         pulses: of the live robot: (clock s, limb mask, length us).
@@ -38,7 +38,7 @@ class LivePool:
         return self._looked_s + 0.002
 
     def swim(self) -> list[Fix]:
-        """Up to now; the fixes that arrived, with times of this pool."""
+        """Advance to the present; return the fixes that arrived, with times of this pool."""
         with self._lock:
             for at_s, limb_mask, _pulse_us in list(self._pulses[self._taken :]):
                 self._taken += 1
@@ -59,7 +59,7 @@ class LivePool:
         pass
 
     def lines(self, write: Callable[[str], object], stop: threading.Event) -> None:
-        """Be a tracker that prints its fixes."""
+        """Write fixes as the lines of a tracker, until ``stop``."""
         while not stop.wait(0.005):
             for fix in self.swim():
                 x_m, y_m, heading_rad = fix.pose_world
@@ -69,11 +69,11 @@ class LivePool:
 
 @dataclass
 class TextFrog:
-    """A robot that carries other firmware: it fires the limbs that a line names, whenever and however often.
+    """A robot with the authors' firmware: it fires the limbs that a line names, at any time and rate.
 
     Attributes:
-        lines: that came, with their times.
-        pulses: (clock s, limb mask in the robot's own order, length us) of each that began.
+        lines: the lines received, with their times.
+        pulses: (clock s, limb mask in the robot's own order, length us) of each pulse that began.
     """
 
     clock: Callable[[], float] = time.monotonic

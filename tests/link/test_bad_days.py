@@ -1,4 +1,4 @@
-"""What goes wrong in a lab while a robot runs: one clear line each, the robot disarmed, its log kept."""
+"""Failures in a lab while a robot runs: one clear line each, the robot disarmed, its log kept."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ OPTIONS = RunOptions(PlanConfig(), True, 10 * PERIOD_S)
 
 
 class Stepping:
-    """A clock that somebody sets."""
+    """A clock that can be set."""
 
     def __init__(self) -> None:
         self.steady, self.offset_s = PatientClock(), 0.0
@@ -55,7 +55,7 @@ class Stepping:
 
 @dataclasses.dataclass
 class Day:
-    """A robot on a line, with a log that grows."""
+    """A robot on a serial line, with a log in progress."""
 
     robot: LiveRobot
     there: Rigged
@@ -75,7 +75,7 @@ class Day:
             )
 
     def fails(self, error: type[FrogkickError], words: str, go: Callable[[], object]) -> None:
-        """One line, no limb on any more, the rows so far kept."""
+        """Check that it ends in one line, with all limbs off and the rows so far in the log."""
         with pytest.raises(error, match=words) as said:
             go()
         assert "\n" not in str(said.value) and "did not confirm DISARM" not in str(said.value)
@@ -97,7 +97,7 @@ def pool_of(robot: LiveRobot) -> LivePool:
 
 
 class Camera:
-    """A driver that works for some pictures, and then hands over the last one for ever, or nothing."""
+    """A camera that works for some pictures, and then repeats the last one for ever, or gives nothing."""
 
     def __init__(self, robot: LiveRobot, pictures: int, hangs: bool) -> None:
         self._frames, self._left, self._hangs = iter(Filmed(robot)), pictures, hangs
@@ -162,7 +162,7 @@ def test_this_computer_s_clock_goes_back(
 def test_this_computer_s_clock_goes_ahead(
     by_s: float, message: str, onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Fixes look older than they are, or the time of the run over: the robot's own clock tells."""
+    """Fixes would look older than they are, or the run too long. The robot's own clock reveals it."""
     clock = Stepping()
     with day(tmp_path, monkeypatch, clock) as now:
         options = dataclasses.replace(OPTIONS, onboard=onboard)
@@ -180,7 +180,7 @@ def test_this_computer_s_clock_goes_ahead(
 def test_a_computer_that_is_held_up_has_the_right_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Both clocks went on meanwhile: the run ends for want of fixes, as with a covered camera."""
+    """Both clocks went on meanwhile: the run ends because no fixes came, as with a covered camera."""
     clock = Stepping()
     robot = LiveRobot(clock=clock)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
@@ -195,7 +195,7 @@ def test_a_computer_that_is_held_up_has_the_right_time(
 
 
 def test_a_robot_whose_power_fails_for_a_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a line nothing drops: its clock, which begins anew, is all that tells."""
+    """On a serial line no connection drops: only the robot's clock, which begins anew, reveals it."""
     with day(tmp_path, monkeypatch) as now:
         restarts = iter([now.robot.restart])
 
@@ -209,10 +209,12 @@ def test_a_robot_whose_power_fails_for_a_moment(tmp_path: Path, monkeypatch: pyt
 
 
 def test_the_time_of_day_is_not_asked() -> None:
-    """It is set by the network while robots run; what runs them goes by clocks that only go on."""
+    """It is set by the network while robots run; runs use clocks that never go back."""
     asks = re.compile(r"\btime\.time\(|\btime_ns\(|datetime\.(now|utcnow|today)\(")
-    for folder in ("link", "loop", "vision", "pool", "planner"):
-        for file in (REPOSITORY / "host/frogkick" / folder).rglob("*.py"):
+    for folder in ("link", "runs", "vision", "pool", "planner"):
+        files = list((REPOSITORY / "host/frogkick" / folder).rglob("*.py"))
+        assert files, folder
+        for file in files:
             assert not asks.search(file.read_text(encoding="utf-8")), file
 
 
@@ -230,7 +232,7 @@ def test_the_robot_s_clock_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_the_robot_s_clock_goes_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has heard of no fix for a minute, as far as it knows."""
+    """By its clock, the robot has had no fix for a minute."""
     with day(tmp_path, monkeypatch) as now:
         steps = iter([60.0])
 
@@ -244,7 +246,7 @@ def test_the_robot_s_clock_goes_ahead(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @contextmanager
 def files_up_to(length: int) -> Iterator[None]:
-    """No file grows beyond a length: what a full disk is to whoever writes."""
+    """Limit the length of files, which acts as a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (length, hard))
     try:

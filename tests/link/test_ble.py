@@ -1,4 +1,4 @@
-"""What only Bluetooth has: looking for a robot, sizes, pairing, adapters; by bleak's real client."""
+"""What only Bluetooth has: finding a robot, sizes, pairing, adapters; with bleak's real client."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_two_robots_with_one_name(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_robot_that_came_back_is_the_same_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Though another of its name has been switched on meanwhile."""
+    """Even if another robot of its name has been switched on meanwhile."""
     robot, other = Peripheral(LiveRobot()), Peripheral(LiveRobot(), asleep=True)
     air = breathe(monkeypatch, robot, other)
     with connected("frogkick") as wire:
@@ -128,7 +128,7 @@ def test_frames_are_cut_to_the_size_negotiated(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_how_frames_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands with response; fixes, and chunks of a table, which the robot answers anyway, without."""
+    """Commands with response. Fixes and chunks of a table, which the robot answers itself, without."""
     new = synthetic.affine_image(20, 9, 2)
     air = breathe(monkeypatch, Peripheral(LiveRobot()))
     with connected("frogkick") as wire:
@@ -166,7 +166,7 @@ def test_fixes_that_wait_are_the_newest(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks for BlueZ's bus, which is Linux's")
 def test_without_a_bluetooth_service(monkeypatch: pytest.MonkeyPatch) -> None:
-    """bleak's own backend, where no bus answers."""
+    """bleak's own backend, without a D-Bus that answers."""
     from bleak.backends.bluezdbus import manager
 
     monkeypatch.setitem(os.environ, "DBUS_SYSTEM_BUS_ADDRESS", "unix:path=/nonexistent/bus")
@@ -187,7 +187,7 @@ def test_without_a_bluetooth_service(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_adapters(monkeypatch: pytest.MonkeyPatch, error: str, words: str) -> None:
-    """What a backend says of the adapter when scanning begins reaches the user, and is not tried again."""
+    """An error of the adapter at the start of a scan reaches the user, and the scan is not repeated."""
     started = []
 
     class Without(VirtualScanner):
@@ -223,7 +223,7 @@ def test_what_backends_say(error: Exception, words: str) -> None:
 def test_a_scan_tells_who_is_there(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two of one name have their addresses; who wants pairing or runs other firmware, the reason."""
+    """Two robots of one name have their addresses; for pairing or other firmware there is the reason."""
     robots = [
         Peripheral(LiveRobot(), "frog"),
         Peripheral(LiveRobot(), "twin"),

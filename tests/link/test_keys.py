@@ -1,4 +1,4 @@
-"""A run that is begun and stopped by key."""
+"""A run that is started and stopped by keys."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="terminals of Wi
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, TextIO]]:
-    """Where keys are pressed, and the terminal that a program reads."""
+    """The end of a terminal where keys are pressed, and the end that a program reads."""
     ours, theirs = os.openpty()
     with os.fdopen(theirs, encoding="utf-8") as stream:
         yield ours, stream

@@ -1,4 +1,4 @@
-"""Lines of a tracker become fixes; what is none is refused with its line."""
+"""Lines of a tracker become fixes; other lines are refused with their number."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The host's frames: every message there and back, errors with a name, streams with damage."""
+"""The host's frames: every message packed and unpacked, named errors, damaged streams."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Both planners at work: the robot decides, the host decides again while it swims, and any bit counts."""
+"""The robot decides, the host repeats each decision during the run, and every bit counts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STATE = link_layout().state
 
 @functools.cache
 def image_with_one_entry_changed() -> bytes:
-    """The small table, but for one of the transitions that it takes most often; its CRC-32 is right."""
+    """The small table with a changed transition, one that a run takes often, and a right CRC-32."""
     ours, bits = rig.tables(), dict[tuple[int, int], bytes]()
     for at in range(ours.sections.models, ours.sections.length):
         for bit in range(8):
@@ -56,7 +56,7 @@ def image_with_one_entry_changed() -> bytes:
 
 @pytest.fixture
 def past_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The hash of the robot's table is not asked: a fault that lies behind it, as one in its memory would."""
+    """The hash of the robot's table is not compared, so that a fault behind it shows, as of its memory."""
 
     def handshake(self: Session, tables: Tables) -> dict[str, object]:
         reported = self.hello()
@@ -133,7 +133,7 @@ def test_the_command_tells_the_agreement(capsys: pytest.CaptureFixture[str]) -> 
 def test_a_mismatch_is_a_check_that_failed(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exit 1, one line. Here the host's planner is given another weight than the robot."""
+    """Exit code 1, one line. The host's planner has another weight than the robot's here."""
     begin = LiveCheck.begin
     other = PlanConfig(angle_weight_per_rad=51.0)
     monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""A run's log while it runs: rows on disk as they come, there after a kill, gone where the whole log is."""
+"""A run's log in progress: rows on disk as they come, readable after a kill, removed at the end of the run."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_a_log_cut_amid_a_row_is_read_up_to_the_row_before(tmp_path: Path) -> No
 def test_a_decision_in_a_log_that_is_cut_off_has_the_fixes_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Robots answer to fixes that are in the file already, and decide: whichever is written last."""
+    """Answers to fixes that are in the file already are written before the decisions that used them."""
     recording, seen, flush = rig.swim("pool", PATH, 4.0), dict[int, bool](), h5py.Dataset.flush
     sent = replace(recording, decisions=[], capture_us=[], fix_status=[], heard=[])
     for answers in (sent.capture_us, sent.fix_status, sent.heard):
@@ -169,7 +169,7 @@ def test_a_decision_in_a_log_that_is_cut_off_has_the_fixes_before_it(
 def test_a_decision_in_a_log_that_is_cut_off_has_the_path_that_it_follows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whichever row is the last before a kill: it was decided on the path that the log says."""
+    """A path is written before the decisions that follow it."""
     recording, seen, flush = rig.swim("pool", PATH, 4.0), list[tuple[int, int]](), h5py.Dataset.flush
     other = shape("ellipse")
     empty = replace(rig.recording(shape(PATH), OPTIONS).log(), then=(PathChange(-1, shape(PATH)),))

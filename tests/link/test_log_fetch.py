@@ -1,4 +1,4 @@
-"""``frogkick log fetch`` over each transport, then ``log replay``: what the robot did, decided again."""
+"""``frogkick log fetch`` over each transport, then ``log replay``: the robot's decisions, repeated."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from frogkick.runs.lab_session import lab_session
 
 @pytest.fixture
 def robot() -> LiveRobot:
-    """With a log."""
+    """A robot that keeps a log."""
     live, log = LiveRobot(), Log()
     live.core._log = log  # lives as long
     live.core.core.fk_robot_use_log(live.core.memory, log.memory)

@@ -1,4 +1,4 @@
-"""A robot and its owner, through the commands and over real wires; and everybody else."""
+"""A robot with an owner's key, by the commands and over real wires; and hosts without the key."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_a_key_that_cannot_be_kept_is_not_given(
 
 
 def test_no_message_holds_a_key(robot: LiveRobot, target: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Not even where the robot refuses the command that carries it."""
+    """Not even if the robot refuses the command that carries it."""
     robot.core.core.fk_test_random_fails = 1
     try:
         output = frogkick(capsys, "own", "--robot", target)
@@ -187,7 +187,7 @@ def test_a_run_of_its_owner(transport: str, tmp_path: Path, monkeypatch: pytest.
 def test_a_table_of_its_owner_over_a_link_that_loses_frames(
     transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frames and answers are lost, so commands come again, and out of order: each counts once."""
+    """Frames and answers are lost, so commands come again and out of order. Each acts once."""
     rng = random.Random(4)
 
     def lost(frame: Frame) -> bool:

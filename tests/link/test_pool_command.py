@@ -1,4 +1,4 @@
-"""A technician's day without hardware: each command that talks with a robot, against ``frogkick pool``."""
+"""All commands that talk with a robot, against ``frogkick pool``, without hardware."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BEGIN = (0.36, 0.45, 0.0)
 
 
 class Served:
-    """``frogkick pool`` in a process of its own, in a folder of its own."""
+    """``frogkick pool`` in its own process and folder."""
 
     def __init__(self, folder: Path, *options: str) -> None:
         self.folder = folder
@@ -52,14 +52,14 @@ class Served:
         self.target, self.source = self.told.get("target", ""), self.told.get("source", "")
 
     def act(self, words: str) -> str:
-        """Ask something of it; return its answer."""
+        """Send it a line; return its answer."""
         assert self.process.stdin is not None and self.process.stderr is not None
         self.process.stdin.write(f"{words}\n")
         self.process.stdin.flush()
         return self.process.stderr.readline().removeprefix("frogkick: ").strip()
 
     def end(self, number: signal.Signals = signal.SIGINT) -> tuple[int, str]:
-        """Interrupt it; return exit code and what it said."""
+        """Interrupt it; return exit code and output."""
         if self.process.poll() is None:
             os.kill(self.process.pid, number)
         _, said = self.process.communicate(timeout=60.0)
@@ -109,7 +109,7 @@ def camera(pool: Served) -> Path:
 
 
 def run_command(pool: Served, *options: str | Path, **streams: Any) -> subprocess.Popen[str]:
-    """``frogkick run`` with its robot."""
+    """``frogkick run`` with this robot."""
     return subprocess.Popen(
         [
             *COMMAND, "run", "--robot", pool.target, "--tables", str(rig.small_table()), "--begin", "here",
@@ -208,7 +208,7 @@ def test_a_run_by_pictures_that_a_page_shows(pool: Served, camera: Path, tmp_pat
 
 
 def test_bad_days(pool: Served, camera: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A covered tag, a mirrored camera, a cable that comes back, words that it does not know."""
+    """A covered tag, a mirrored camera, a cable that comes back, unknown words."""
     pool.act("put")
     track = ("camera", "track", camera, "--source", pool.source, "--seconds", "0.5", "--json")
     assert pool.act("hide") == "the tag is covered"
@@ -271,7 +271,7 @@ def test_the_virtual_chip_keeps_its_flash_too(tmp_path: Path, capsys: pytest.Cap
 
 @from_ci
 def test_a_run_whose_connection_was_lost_for_too_long(camera: Path, tmp_path: Path) -> None:
-    """The robot ends it alone, and its word that it did is lost: a run cut short has exit code 1."""
+    """The robot ends the run alone, and its ENDED is lost: a run that was cut short has exit code 1."""
     with serving(tmp_path, "--line", "frog") as pool:
         pool.target = f"serial:{tmp_path / 'frog'}"
         running = run_command(

@@ -1,4 +1,4 @@
-"""Tables to a robot by ``frogkick push`` and ``retune --push``: sent where better, the old kept, and back."""
+"""``frogkick push``, ``retune --push``: a better table is sent, the previous one kept and rolled back to."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def retuned(
     before: bytes = OLD,
     after: bytes = NEW,
 ) -> Outcome:
-    """``retune --push`` whose search and tables are given; everything else is the command's own."""
+    """``retune --push`` with a given result of the search and given tables; all else is the command's own."""
     write_run(folder / "run.h5", make_run([], 1, 6))
 
     class Known:
@@ -170,7 +170,7 @@ def test_retune_sends_nothing_that_is_no_better(
 def test_retune_sends_nothing_to_a_robot_with_other_tables(
     robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
-    """It was weighed against tables that this robot does not carry."""
+    """The new table was compared with a table that this robot does not have."""
     reported = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True, before=OTHER)
     assert reported.code == 2 and reported.json["pushed"] is None and reported.json["better"] is True
     assert reported.stderr.splitlines()[-1].startswith(
@@ -191,7 +191,7 @@ def test_retune_keeps_what_it_made_where_no_robot_answers(
 
 @from_ci
 def test_retune_sends_to_a_virtual_robot(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
-    """Switched on with the old tables, it takes the new ones by its UART."""
+    """It was switched on with the old tables, and takes the new ones by its UART."""
     old, new = rig.small_table().read_bytes(), rig.changed_image(32, b"another library")
     output = retuned(monkeypatch, capsys, tmp_path, "virtual", True, old, new)
     assert output.code == 0, output.stderr

@@ -1,4 +1,4 @@
-"""From camera to limbs and back: a robot on a line swims by pictures of the pool that it swims in."""
+"""From camera to limbs: a robot on a line swims by pictures of its own pool."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def placed(pose: np.ndarray) -> tuple[float, float, float]:
 
 
 class Filmed:
-    """Live pictures of the pool, taken where the robot is by the pulses that it really began."""
+    """Live pictures of the pool, with the robot where its real pulses have moved it."""
 
     def __init__(self, robot: LiveRobot, rate_hz: float = 20.0) -> None:
         self.pool = LivePool(robot.pulses)
@@ -107,7 +107,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """On a new installation it once took two minutes, amid the run, in which fixes came late."""
+    """Compiling takes two minutes on a new installation; during a run, fixes would come late."""
     done = []
 
     def opened(*_given: object) -> None:
@@ -136,7 +136,7 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
 @from_ci
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
-    """The pictures end: a camera that sees nothing more, so the robot ends the run by itself."""
+    """The pictures end, like those of a covered camera, so the robot ends the run by itself."""
     robot, said = LiveRobot(), ""
     with PtyLine(tmp_path / "robot", robot) as line:
         process = subprocess.Popen(

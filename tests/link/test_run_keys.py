@@ -1,4 +1,4 @@
-"""The whole command at a real terminal: armed by Enter, stopped by any key, the robot on another line."""
+"""The whole command at a real terminal: armed by Enter, stopped by any key, the robot on a serial line."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ class Terminal:
     """A person at a terminal, and the command that runs there.
 
     Attributes:
-        process: whose standard error, and where no fixes come in there its input, is the terminal.
+        process: the command; the terminal is its standard error, and its input if no fixes come in there.
         said: what it has written there so far.
-        before: the terminal's settings as the command found them.
+        before: the terminal's settings before the command.
     """
 
     process: subprocess.Popen[str]
@@ -71,7 +71,7 @@ class Terminal:
                 self.said += read
 
     def result(self) -> tuple[int, str]:
-        """Exit code and standard output, and the terminal as it was."""
+        """Exit code and standard output, after checking that the terminal is as it was."""
         assert self.process.stdout is not None
         code = self.process.wait(PATIENCE_S)
         output = self.process.stdout.read()
@@ -83,10 +83,9 @@ class Terminal:
 def seated(
     folder: Path, words: list[str], piped: LivePool | None, in_front: bool = True
 ) -> Iterator[Terminal]:
-    """A terminal of its own for a command, and a tracker that pipes its fixes in, if there is one.
+    """Start a command at a terminal of its own, with a tracker that pipes fixes into it, if there is one.
 
-    The shell leads a new session: the terminal that it opens first is the session's, which keys and Ctrl-C
-    go to.
+    The shell leads a new session. The terminal that it opens first is that session's, with keys and Ctrl-C.
     """
     ours, theirs = os.openpty()
     name, before = os.ttyname(theirs), termios.tcgetattr(theirs)
@@ -127,7 +126,7 @@ def seated(
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A calibration, and a film of a robot at rest that is longer than any run here."""
+    """A calibration, and a video of a robot at rest that is longer than any run here."""
     folder, rng = tmp_path_factory.mktemp("film"), np.random.default_rng(6)
     write_calibration(folder / "camera.toml", calibration(SCENE))
     kind = cv2.VideoWriter_fourcc(*"MJPG")  # type: ignore[attr-defined]
@@ -140,14 +139,14 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run_with(line: PtyLine) -> list[str]:
-    """Words of a run with the robot on a line."""
+    """The words of a run command with the robot on a line."""
     robot = f"serial:{line.path}:115200"
     return ["--path", PATH, "--tables", str(rig.small_table()), "--json", "--robot", robot]
 
 
 @contextmanager
 def swimming(source: str, film: Path, folder: Path) -> Iterator[tuple[LiveRobot, Terminal]]:
-    """The command with its robot on a line; fixes from a camera's film or piped in by a tracker."""
+    """The command with its robot on a line; fixes from a video, or piped in by a tracker."""
     robot = LiveRobot()
     with PtyLine(folder / "robot", robot) as line:
         words = [*run_with(line), "--out", "run.h5", "--begin", "here"]
@@ -202,7 +201,7 @@ def test_ctrl_c_at_the_question_arms_nothing(source: str, film: Path, tmp_path: 
 
 @from_ci
 def test_in_the_background_of_a_terminal_nothing_is_asked(tmp_path: Path) -> None:
-    """A program there that reads keys, or changes how they come, is halted by the system."""
+    """The system halts a background program that reads keys or changes the terminal's settings."""
     robot = LiveRobot()
     with PtyLine(tmp_path / "robot", robot) as line:
         words = [*run_with(line), "--simulated-time", "0.5", "--fixes", "stdin"]

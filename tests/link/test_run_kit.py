@@ -1,4 +1,4 @@
-"""The whole command with a kit on a line: no limbs, no water, no camera, and a closed loop all the same."""
+"""The whole command with a development kit on a line: no limbs, water or camera, and still a closed loop."""
 
 from __future__ import annotations
 

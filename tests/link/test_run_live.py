@@ -1,4 +1,4 @@
-"""Runs in real time: a live robot that swims in a simulated pool, over a line, by Bluetooth, and by text."""
+"""Runs in real time: a live robot in a simulated pool, over a serial line, Bluetooth, and text."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ STATE = link_layout().state
 
 
 def seen_pulses(pulses: list[tuple[float, int, int]]) -> list[Pulse]:
-    """One for each limb."""
+    """One pulse for each limb."""
     return [
         Pulse(limb, at_s, at_s + pulse_us * 1e-6)
         for at_s, limb_mask, pulse_us in pulses
@@ -90,7 +90,7 @@ def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytes
 def test_a_path_takes_over_though_a_part_of_it_is_lost(
     transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is sent again, and each answer comes in its turn: host and robot change at the same decision."""
+    """The part is sent again. Answers are handled in order: host and robot change at the same decision."""
     lost: list[str] = []
 
     def is_lost(frame: Frame) -> bool:
@@ -195,7 +195,7 @@ def test_a_robot_that_does_not_say_so_is_told_of(tmp_path: Path, monkeypatch: py
 @from_ci
 @pytest.mark.parametrize("onboard", some([True, False], 1), ids=lambda onboard: "core" if onboard else "twin")
 def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
-    """Their robot fires whatever a line says: it is the host that keeps the limits."""
+    """The authors' firmware fires whatever a line says, so the host keeps the limits."""
     frog, options = TextFrog(clock=PatientClock()), RunOptions(PlanConfig(), onboard, 2.5 * PERIOD_S)
     with (
         PtyLine(tmp_path / "robot", frog) as line,
@@ -286,7 +286,7 @@ def test_a_signal_disarms_first(tmp_path: Path, number: signal.Signals) -> None:
 @from_ci
 @pytest.mark.parametrize("dialect", some(DIALECTS, 1))
 def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
-    """Fixes piped in, numbers and a log out."""
+    """Fixes are piped in; numbers and a log come out."""
     robot = LiveRobot() if dialect == "frogkick" else TextFrog()
     options = ("--plan", "host", "--simulated-time", f"{1.5 * PERIOD_S}", "--json", "--out", "run.h5")
     with (

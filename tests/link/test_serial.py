@@ -1,4 +1,4 @@
-"""What only a serial line has: ports and their errors, noise, speeds; and how robots are named."""
+"""What only a serial line has: ports and their errors, noise, speeds; and addresses of robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A conversation over a real pseudo-terminal, and by bleak's real client: the same on both."""
+"""A conversation over a real pseudo-terminal, and with bleak's real client: the same on both."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_what_is_lost_on_the_way_is_sent_again_and_done_once(robot: LiveRobot, t
 
 
 def test_forced_reconnects(robot: LiveRobot, there: Rigged) -> None:
-    """50, full 1,000: after each the conversation goes on; every ARM that was told is one."""
+    """50 reconnects, 1,000 at level full: the conversation continues after each, and each ARM acts once."""
     session = lab_session(there.wire)
     session.handshake(rig.tables())
     begin_s = time.monotonic()
@@ -104,7 +104,7 @@ def test_forced_reconnects(robot: LiveRobot, there: Rigged) -> None:
 
 
 def cut_session(robot: LiveRobot, there: Rigged, every: int) -> LabSession:
-    """A session with a robot whose connection drops at every n-th chunk, before it arrives."""
+    """A session whose connection drops at every n-th chunk, before the chunk arrives."""
     chunks = itertools.count(1)
     last: list[Frame] = []
 

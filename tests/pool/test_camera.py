@@ -117,7 +117,7 @@ def test_fixes_of_a_bad_camera_arrive_in_their_order() -> None:
 
 
 def test_a_time_that_is_a_picture_s_but_for_rounding_is_the_picture_s() -> None:
-    """Rods take no step of 1e-15 s: the pool once failed where a decision fell on a picture."""
+    """A decision may fall on a picture but for rounding, and the rods take no step of 1e-15 s."""
     pool = Pool(load_robot("frog2022"), (0.0, 0.0, 0.0), Camera(rate_hz=5.0), np.random.default_rng(2))
     pool.actuate(0, 0.0)
     for at_s in (0.2, 0.4, 0.6000000000000002, 0.8, 0.9999999999999998, 1.0):

@@ -1,4 +1,4 @@
-"""A pool with effects in it that no model was told."""
+"""A pool with effects that no model contains."""
 
 from __future__ import annotations
 
@@ -83,7 +83,10 @@ def test_where_the_rods_fail_the_effects_of_the_world_are_named() -> None:
 
 
 def test_a_run_without_fixes_says_what_to_check(tmp_path: Path) -> None:
-    """A robot that gets none refuses START; one whose fixes lead it astray says how many it refused."""
+    """A robot without fixes refuses START.
+
+    A robot whose fixes mislead it says how many of them it refused.
+    """
     (tmp_path / "dark.py").write_text("class Dark:\n    def fix(self, fix, rng):\n        return None\n")
     (tmp_path / "dark.toml").write_text('[[effect]]\nfile = "dark.py"\n')
     check = r"one of the last 2 s is needed: check the effects of --world that change, delay or drop fixes"

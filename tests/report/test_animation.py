@@ -1,4 +1,4 @@
-"""Moving pictures of swims: the right number of pictures, what is in them, what is refused."""
+"""Animations of swims: number of pictures, content, refusals."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 
 class Recorder:
-    """Stands in for cv2.VideoWriter where OpenCV is not installed: keeps what it is given."""
+    """Replaces cv2.VideoWriter where OpenCV is not installed: keeps what it is given."""
 
     opens = True
     pictures: list[np.ndarray]

@@ -1,4 +1,4 @@
-"""The picture of frames and units: as it is tracked, and true to the robot that it draws."""
+"""The picture of frames and units: the same as in the documentation, and true to the robot that it draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The identification's report: all that a reader is to learn from it, in one file; and its arithmetic."""
+"""The report of an identification: complete, in one file; and its arithmetic."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ TURNS = [
 
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
-    """What a search would end with on a worn robot's runs, at the true values."""
+    """An outcome with a worn robot's runs, at the true values."""
     train, test = [make_swim([WORN], 31, 9)], [make_swim([WORN], 32, 7), make_swim([WORN], 33, 6)]
     known = known_outcome(train, test, TITLE, (0.7, 0.0, 1.0))
     assert known.found is not None

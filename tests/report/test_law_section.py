@@ -65,7 +65,7 @@ def law_of(term: Term) -> Law:
 
 
 def outcome_with(term: Term) -> Outcome:
-    """What a search would end with on runs in which a law holds, at its true values."""
+    """An outcome with runs in which a law holds, at its true values."""
     train, test = ([make_swim([law_of(term).table], seed, 8)] for seed in (41, 42))
     known = known_outcome(train, test, "limb_wear rear_left", (0.9, 0.0, 1.0))
     assert known.found is not None

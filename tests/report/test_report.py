@@ -1,4 +1,4 @@
-"""The report: one file that needs no other, all that a reader is promised in it, axes with units."""
+"""The report: one file that needs no other, with all that it promises, and units on the axes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FETCHING = {"src", "href", "data", "action", "poster", "srcset", "background"}
 
 
 class Links(HTMLParser):
-    """Everything that a page points to, and the text in it."""
+    """All links of a page, and its text."""
 
     def __init__(self, page: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The picture of a robot holds its parts where they are; the commands around it."""
+"""The picture of a robot shows its parts in their places; and its commands."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_show_warns_on_stderr_and_list_lists(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_letters_that_the_font_lacks_are_drawn_without_a_warning(tmp_path: Path) -> None:
-    """The name of a file is a title, and a warning here is an error."""
+    """A file's name is a title, and a warning is an error here."""
     with style.new_figure(2.0, 2.0) as figure:
         figure.suptitle("run \u65e5.h5")
         assert style.png_of(figure).startswith(b"\x89PNG")

@@ -1,4 +1,4 @@
-"""What the suites of loop, cli and report share: one small table, its firmware, short runs in the pool."""
+"""What tests of runs, command line and report share: a small table, its firmware, short runs in the pool."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _FOLDER = tempfile.TemporaryDirectory(prefix="frogkick-tests-")
 
 @functools.cache
 def small_table() -> Path:
-    """A table image of few states of random swims: too few for an affine table, so a nearest one.
+    """An image of a table of few states of random swims: too few for an affine table, so a nearest one.
 
     Its library takes some seconds, once on a machine.
     """
@@ -71,7 +71,7 @@ def port(place: str) -> RobotPort:
 
 
 class FadingPool(Pool):
-    """A pool whose camera sees nothing after a time."""
+    """A pool whose camera sees nothing after some time."""
 
     last_fix_s = np.inf
 
@@ -80,7 +80,7 @@ class FadingPool(Pool):
 
 
 def new_pool(path_name: str, seed: int = 0, start_at: int = 0) -> FadingPool:
-    """The robot at rest on a path's point, along its tangent."""
+    """A pool with the robot at rest at a path's start, along its tangent."""
     path = shape(path_name)
     start = (float(path.x_m[start_at]), float(path.y_m[start_at]), float(path.tangent_rad[start_at]))
     return FadingPool(robot(), start, Camera(), np.random.default_rng(seed))
@@ -89,7 +89,7 @@ def new_pool(path_name: str, seed: int = 0, start_at: int = 0) -> FadingPool:
 def recording(
     path: SwimPath, options: RunOptions, pool: Pool | None = None, known: Mapping[str, float] | None = None
 ) -> Recording:
-    """A run of the small table that is to begin."""
+    """The recording of a run of the small table that is to begin."""
     seed = None if pool is None else 0
     return Recording(robot(), tables(), path, options, "test", seed, known or {}, pool=pool)
 
@@ -122,7 +122,7 @@ def without_plan(run: RunLog, rows: Sequence[int]) -> RunLog:
 
 
 def changed_image(at: int, content: bytes) -> bytes:
-    """The small table's image with other bytes at a place, and its CRC-32 right again."""
+    """The small table's image with other bytes at an offset, and a right CRC-32."""
     image = bytearray(small_table().read_bytes())
     image[at : at + len(content)] = content
     image[12:16] = zlib.crc32(image[16:]).to_bytes(4, "little")

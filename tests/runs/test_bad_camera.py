@@ -1,4 +1,4 @@
-"""Runs with fixes late, lost, doubled, out of order, wrong: decided alike everywhere, and near the truth."""
+"""Runs with fixes late, lost, doubled, out of order, wrong: the same decisions everywhere, near the truth."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_the_log_is_decided_again_as_it_was(place: str) -> None:
 
 
 def test_at_two_fixes_a_second_it_still_gets_along() -> None:
-    """Where a decision falls more than half a second after the newest fix it rests, as the guard wants."""
+    """A decision more than half a second after the newest fix gives a rest, as the guard demands."""
     pool = bad_pool("line", Camera(rate_hz=2.0))
     recording = rig.swim("pool", "line", 40.0, pool=pool)
     statuses = [d.status for d in recording.decisions]

@@ -1,4 +1,4 @@
-"""Position fixes from pictures: of the right pose and time, and one clear line where the camera fails."""
+"""Position fixes from pictures: right pose and time, and one clear line if the camera fails."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ PATIENCE_S = 120.0
 def frames(
     count: int, pose: tuple[float, float, float] | None = POSE, rate_hz: float = 40.0
 ) -> Iterator[Frame]:
-    """As a folder of pictures gives them."""
+    """Frames like those of a folder of pictures."""
     rng = np.random.default_rng(1)
     for k in range(count):
         yield Frame(SCENE.picture(pose, rng), k / rate_hz, k, False)
 
 
 def collected(source: CameraFixes, number: int) -> list[tuple[float, Fix]]:
-    """(monotonic time of the look, fix) of each that comes, until there are so many."""
+    """(monotonic time of the look, fix) of the first ``number`` fixes."""
     found: list[tuple[float, Fix]] = []
     until_s = time.monotonic() + PATIENCE_S
     while len(found) < number and time.monotonic() < until_s:
@@ -65,7 +65,7 @@ def test_a_pool_without_a_tag_is_said() -> None:
 
 def test_a_frozen_camera_ends_the_run_in_one_line() -> None:
     class Frozen:
-        """A driver that hands the same picture over again and again."""
+        """A camera that repeats the same picture."""
 
         picture = SCENE.picture(POSE, np.random.default_rng(2))
 
@@ -117,7 +117,7 @@ def stay_quiet(source: CameraFixes, now_s: list[float]) -> None:
 
 
 def test_a_computer_that_slept_does_not_blame_the_camera() -> None:
-    """A live camera, and a clock that stood still for this program: pictures may come again."""
+    """A live camera, while this program's clock stood still: pictures may come again."""
     now_s, goes_on = [100.0], threading.Event()
     picture = SCENE.picture(POSE, np.random.default_rng(2))
 

@@ -1,4 +1,4 @@
-"""What a viewer shows of a camera: the camera's own picture, and the run where it is in that picture."""
+"""The viewer of a camera: the camera's own picture, with the run drawn where the camera sees it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BENT = Scene(view=looking_at(distortion=(-0.15, 0.03, 0.0, 0.0, 0.0)))
 
 
 class Still:
-    """A camera that takes pictures one by one, as it is told to."""
+    """A camera that takes single pictures on request."""
 
     def __init__(self, of: Scene) -> None:
         self.scene, self.rng = of, np.random.default_rng(3)
@@ -66,7 +66,7 @@ def looking(of: Scene, by: Calibration | None = None) -> Iterator[tuple[Still, C
 
 
 def bent_calibration() -> Calibration:
-    """Of the bent lens, known as a board tells it."""
+    """The calibration of a camera with lens distortion, known from a board."""
     from frogkick.vision.board import calibrate_corners
     from frogkick.vision.calibration import Lens, Tag
 
@@ -80,7 +80,7 @@ def bent_calibration() -> Calibration:
 
 @pytest.mark.parametrize("bent", [False, True], ids=["straight", "bent"])
 def test_places_of_the_pool_are_drawn_where_the_camera_sees_them(bent: bool) -> None:
-    """Through calibration and lens, against the pinhole that the scene is rendered by."""
+    """Through calibration and lens, compared with the pinhole camera that rendered the scene."""
     of = BENT if bent else scene()
     with looking(of, bent_calibration() if bent else None) as (_, camera):
         eye = CameraView(camera)
@@ -114,7 +114,7 @@ def test_the_page_is_given_the_camera_s_picture(most_px: int, monkeypatch: pytes
 
 
 def test_no_picture_is_made_that_nobody_asks_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor two at once, nor one again: pages that ask often get the same one."""
+    """Nor two at once, nor the same twice: pages that ask often get the same picture."""
     made: list[int] = []
     encode = cv2.imencode
     monkeypatch.setattr(tracked_fixes.cv2, "imencode", lambda *given: made.append(1) or encode(*given))
@@ -157,7 +157,7 @@ def test_before_the_first_picture_there_is_none() -> None:
 
 
 def test_a_real_run_is_drawn_over_its_camera_s_picture(capsys: pytest.CaptureFixture[str]) -> None:
-    """All that is drawn is told in the picture's pixels, and lies where the tag is seen."""
+    """All that is drawn is in the picture's pixels, and lies where the tag is seen."""
     of = scene()
     with looking(of) as (_, camera):
         path = shape("line").place((POSE[0], POSE[1], POSE[2] - float(shape("line").tangent_rad[0])))
@@ -184,7 +184,7 @@ def test_a_real_run_is_drawn_over_its_camera_s_picture(capsys: pytest.CaptureFix
 
 
 def test_a_page_that_goes_away_is_not_told_of(capfd: pytest.CaptureFixture[str]) -> None:
-    """A window that is closed while it is answered wrote a traceback into the terminal of the run."""
+    """A window that is closed during an answer leaves no traceback in the terminal of the run."""
     asked, gone = threading.Event(), threading.Event()
 
     def slow() -> tuple[bytes, dict[str, str]]:

@@ -185,7 +185,7 @@ def test_the_robots_own_planner_is_what_its_toml_says() -> None:
 
 
 def test_a_decision_names_its_fix_also_after_their_numbers_began_anew() -> None:
-    """They have 16 bits, which last 73 minutes at 15 Hz; of a fix that came twice it is the first row."""
+    """Numbers have 16 bits, which last 73 minutes at 15 Hz. Of a fix that came twice it is the first row."""
     recording = rig.recording(shape("line"), RunOptions(PlanConfig(depth=1)))
     numbers = [*range(100), 99, *range(100, 70_000)]
     recording.fixes += [Fix(n / 15, 0.08, 0.0, 0.0, 0.0, sequence=n & 0xFFFF) for n in numbers]

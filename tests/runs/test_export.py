@@ -1,4 +1,4 @@
-"""Runs as CSV and MCAP: read back by other readers they say what the log says."""
+"""Runs as CSV and MCAP: read back by other programs' readers, they equal the log."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_what_a_recorded_run_misses_is_empty(frog2022_dir: Path, tmp_path: Path)
 
 
 def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Channel -> (time, message), decoded by the readers that others use."""
+    """Channel -> (time, message), decoded with the readers of MCAP and protobuf."""
     found: dict[str, list[tuple[int, Any]]] = {}
     with file.open("rb") as opened:
         reader = make_reader(opened, decoder_factories=[DecoderFactory()])

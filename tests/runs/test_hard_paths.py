@@ -33,7 +33,7 @@ _FOLDER = tempfile.TemporaryDirectory(prefix="frogkick-tests-")
 
 @functools.cache
 def tables() -> Tables:
-    """Those that a user swims with who names none: the planner's weights were tuned on them."""
+    """The default tables, for which the planner's weights were tuned."""
     return read_image(default_tables("frog2022"))
 
 
@@ -65,7 +65,7 @@ STRAIGHT = polyline((0.0, 0.0), (0.5, 0.0))
 def swim(
     path: Path, start: tuple[float, float, float], onboard: bool = True
 ) -> tuple[Recording, np.ndarray, np.ndarray]:
-    """The robot's own planner: (recording, distance of each decision's estimate to the path, final pose)."""
+    """A run of the robot's own planner: recording, distance of each estimate to the path, final pose."""
     pool = Pool(rig.robot(), start, Camera(), np.random.default_rng(0))
     options = RunOptions(config_of(rig.robot().planner), onboard, LIMIT_S)
     recording = run_session(Session(port()), pool, Recording(rig.robot(), tables(), path, options))
@@ -133,7 +133,7 @@ def test_a_path_beyond_the_robot_is_tried_and_its_end_told_as_it_was(
 
 
 def test_a_robot_that_cannot_move_gives_up() -> None:
-    """Its limbs are dead: no decision gets it any further."""
+    """Its limbs do nothing, so no decision moves it."""
     pool = Pool(rig.robot(), (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0))
     pool.actuate = lambda limb, time_s: None
     options = RunOptions(config_of(rig.robot().planner), True, LIMIT_S)

@@ -1,4 +1,4 @@
-"""A robot that was reset goes on with what it knew of its limbs; a run from there is decided alike again."""
+"""A robot remembers the wear of its limbs over a reset; a run from there is repeated exactly in a replay."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def swim(session: Session, limit_s: float, learn: bool = True) -> tuple[Recordin
 
 
 class AfterReset(Session):
-    """A session whose time goes on while the robot's clock began anew."""
+    """A session whose time continues, while the robot's clock began anew."""
 
     def robot_clock_offset_us(self) -> int:
         return int(self.request("STATUS")["now_us"]) - round(self.time_s * 1e6)
@@ -86,7 +86,7 @@ def known(session: Session) -> tuple[int, tuple[int, ...]]:
 
 
 def reset(port: Port, session: Session) -> Session:
-    """Hang the firmware, and greet it after its watchdog has reset it."""
+    """Hang the firmware, and begin a session after its watchdog has reset it."""
     if isinstance(port, VirtualRobot):
         port.chip.hang()
     else:
@@ -103,7 +103,7 @@ def reset(port: Port, session: Session) -> Session:
 def test_a_run_after_a_reset_goes_on_from_what_was_learned(
     place: str, images: dict[str, Path], tmp_path: Path
 ) -> None:
-    """STATUS tells it still; the live check, a replay and the robot's own log agree to the bit."""
+    """STATUS still has it; the live check, a replay and the robot's own log agree to the bit."""
     port = port_of(place, images)
     session = Session(port)
     recording, check = swim(session, FIRST_S)
@@ -140,7 +140,7 @@ def test_a_run_after_a_reset_goes_on_from_what_was_learned(
 @from_ci
 @pytest.mark.parametrize("learn", [False, True])
 def test_a_later_run_hangs_on_none_before_it(learn: bool, images: dict[str, Path]) -> None:
-    """The robot stays on; its own noise and its last fixes are forgotten, and each decision is the host's."""
+    """The robot stays on and keeps the shares alone: every decision is the host's, which knows only those."""
     port = port_of("pool", images)
     session = Session(port)
     swim(session, FIRST_S, learn)
@@ -157,7 +157,7 @@ def test_a_later_run_hangs_on_none_before_it(learn: bool, images: dict[str, Path
 
 
 def test_a_reset_amid_a_stroke_of_the_chip_keeps_what_was_learned_until_then(images: dict[str, Path]) -> None:
-    """With what it kept over the reset before that, too; HELD stays HELD."""
+    """Also what it kept over an earlier reset; HELD stays HELD."""
     learned = (655, 0, 20_000, 32_767, 0, 0, 0, 0)
     content = kept_wear(tables().crc32, learned)
     port = VirtualRobot(images["virtual"], len(robot().limbs), learned=content)
@@ -179,7 +179,7 @@ def test_a_reset_amid_a_stroke_of_the_chip_keeps_what_was_learned_until_then(ima
 
 @pytest.mark.parametrize("place", ["pool", "virtual"])
 def test_without_supply_it_is_forgotten(place: str, images: dict[str, Path]) -> None:
-    """Also a robot that was switched on for the first time has learned nothing."""
+    """A robot that is switched on for the first time has learned nothing either."""
     port = port_of(place, images)
     session = Session(port)
     session.handshake(tables())
@@ -198,7 +198,7 @@ def test_without_supply_it_is_forgotten(place: str, images: dict[str, Path]) -> 
 
 
 def test_a_run_that_does_not_learn_makes_the_robot_forget(images: dict[str, Path]) -> None:
-    """Over a reset too; and a replay of it begins from nothing."""
+    """Also over a reset; a replay of the run begins without wear."""
     content = kept_wear(tables().crc32, [0, 16_000, 0, 0])
     port = NativeRobot(images["pool"], len(robot().limbs), learned=content)
     session = Session(port)

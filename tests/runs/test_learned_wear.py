@@ -1,4 +1,4 @@
-"""What limbs have lost is learned: from misses alone, in closed loop, and again from a run's log."""
+"""The wear of limbs is learned: from prediction errors, in closed loop, and again from a run's log."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def table() -> Path:
 
 
 def swum(filt: WearFilter, tables: Tables, lost: list[float], current: list[float], periods: int) -> None:
-    """Periods of a robot whose limbs have lost this much, in a current (3,), seen with noise."""
+    """Periods of a robot whose limbs have lost some shares, in a current (3,), with noise of the fixes."""
     rng = np.random.default_rng(5)
     scale = np.asarray(tables.motion_scale, dtype=np.float64)
     true = tables.worn(np.round(np.array(lost) * 32767).astype(int)).shift[:, :3] * scale
@@ -98,7 +98,7 @@ def test_in_the_pool_a_worn_limb_is_named_and_replay_decides_alike(table: Path, 
 
 
 def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
-    """The C beside its twin, decision by decision; and again from the log, in both."""
+    """The C core and its twin, decision by decision; and again from the log, in both."""
     world, log = tmp_path / "worn.toml", tmp_path / "run.h5"
     world.write_text(WORN)
     run = fk.run(
@@ -153,7 +153,7 @@ def test_a_limb_that_breaks_on_a_straight_way_is_named_within_three_strokes(tabl
 
 @pytest.mark.parametrize("limb", range(4))
 def test_a_limb_that_does_nothing_is_told_from_one_that_is_worn(table: Path, limb: int) -> None:
-    """One that is worn has about the share of a stroke's gain of 0.65."""
+    """The worn one has lost 0.75, which is about a limb whose strokes have a gain of 0.65."""
     tables, broken, worn = read_image(table), 0, 0
     for seed in range(20):
         filt = WearFilter(tables)

@@ -1,4 +1,4 @@
-"""What is drawn of a run while it runs: the planner's own predictions, by the command too."""
+"""The viewer's state during a run: the planner's own predictions, also by the command."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_the_page_is_served_here_alone() -> None:
 
 @from_ci
 def test_the_command_draws_a_run(tmp_path: Path) -> None:
-    """In real time: it takes no less than what is simulated."""
+    """In real time: a run takes at least its simulated time."""
     began = time.monotonic()
     process = subprocess.Popen(
         [
@@ -249,7 +249,7 @@ def test_decisions_before_the_first_fix_have_no_place() -> None:
 
 
 def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    """What is recorded is handed over and no more: fixes wait for no picture."""
+    """The run hands its recording over and does no more: fixes do not wait for drawing."""
     recording = rig.swim("pool", "sine", 4.0)
     real = replace(recording, pool=None, options=RunOptions(CONFIG))
     with viewed(True, real) as keep:

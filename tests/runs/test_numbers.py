@@ -1,4 +1,4 @@
-"""Numbers about a run: residual, distance and progress along a path, tracking, JSON."""
+"""Numbers of a run: residual, distance and progress along a path, tracking, JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PERIOD_S = 1.4
 
 
 def synthetic_run(offset_body_m: tuple[float, float], turn_rad: float) -> RunLog:
-    """A robot on a circle whose predictions miss by a known offset in the body frame at each decision."""
+    """A robot on a circle whose predictions have a known offset in the body frame at each decision."""
     time_s = np.arange(0.0, 12.0, 0.02)
 
     def pose(at: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Paths that take over during a run: sent in time, followed, logged, and decided again."""
+"""Paths that take over during a run: sent in time, followed, logged, and repeated in a replay."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_a_log_whose_paths_change_nowhere_is_refused(swum: tuple[Recording, RunL
 
 
 class Deaf:
-    """A session that says what was posted."""
+    """A session that records what is posted, and gets no answers."""
 
     def __init__(self) -> None:
         self.posted: list[int] = []

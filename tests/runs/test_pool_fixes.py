@@ -1,4 +1,4 @@
-"""A simulated pool that swims by what a kit says it does."""
+"""A simulated pool in which a robot swims by the strokes that a kit reports."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def begun(world: World = World()) -> tuple[PoolFixes, Clock]:  # noqa: B008 - fr
 
 
 def live(source: PoolFixes, clock: Clock, for_s: float, step_s: float = 0.02) -> list[Fix]:
-    """Session time is the clock's less 950 s."""
+    """Let time pass. Session time is the clock's time less 950 s."""
     fixes: list[Fix] = []
     for _ in range(round(for_s / step_s)):
         clock.now_s += step_s
@@ -48,7 +48,7 @@ def live(source: PoolFixes, clock: Clock, for_s: float, step_s: float = 0.02) ->
 
 @pytest.fixture(scope="module")
 def decided() -> Decision:
-    """One that fires limbs of both groups."""
+    """A decision that fires limbs of both groups."""
     recording = rig.swim("pool", "line", 6.0)
     index = next(k for k, row in enumerate(rig.tables().actions) if row.first_mask and row.second_mask)
     return dataclasses.replace(recording.decisions[-1], status=0, action=index, plan_us=4_000)
@@ -78,7 +78,7 @@ def test_fixes_are_of_the_start_and_as_late_as_the_pool_is_behind() -> None:
 
 @pytest.mark.parametrize("onboard", [True, False], ids=["onboard", "host"])
 def test_a_stroke_begins_when_the_robot_began_it(decided: Decision, onboard: bool) -> None:
-    """Told 60 ms later, the pool has not passed it: it swims as one that was told beforehand."""
+    """Reported 60 ms late, within the pool's lag, it has the effect of one that was known beforehand."""
     source, clock = begun()
     live(source, clock, 1.0)
     at_s = clock.now_s - 950.0
@@ -145,7 +145,7 @@ def test_time_in_which_nobody_asks_does_not_pass_in_the_pool() -> None:
 
 
 def test_it_swims_a_path_as_the_pool_does_whose_pins_are_seen() -> None:
-    """The core in simulated time, once with its pins seen, once by what it says."""
+    """The core in simulated time, once with its pins seen, once by its reports."""
     seen = rig.swim("pool", "line", 12.0, depth=2)
 
     class ByWord(PoolFixes):

@@ -1,4 +1,4 @@
-"""What a run in real time goes on in: given back afterwards, and no wait for the disk."""
+"""The real-time guard of a run is undone afterwards, and no fix waits for the disk."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ print(chosen, *[when.data["dispatcher"].py_func.__name__ for _, when in recorder
 
 
 def test_nothing_is_compiled_while_a_robot_swims() -> None:
-    """It took a second, once the first stroke had begun, and on a busy machine the run was over by then."""
+    """Compiling takes a second; after the first stroke, that would end the run on a busy machine."""
     done = subprocess.run(
         [sys.executable, "-c", COMPILED_LATER, str(rig.small_table())],
         capture_output=True, text=True, check=False,

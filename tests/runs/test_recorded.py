@@ -1,4 +1,4 @@
-"""The paper's recorded runs: real ones where they are, and small made-up files with known faults."""
+"""The paper's recorded runs: real ones if they are there, and small synthetic files with known faults."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def made_up(
     seed: int = 1,
     name: str = "line7",
 ) -> list[list[str]]:
-    """Rows of a run that follows a line at 25 mm/s, with its path file beside it; returns the cells."""
+    """The cells of a run that follows a line at 25 mm/s; the file and its path file are written."""
     rng = np.random.default_rng(seed)
     time_ms = np.concatenate([np.arange(backlog), backlog + 67 * np.arange(1, rows - backlog + 1)])
     time_ms = time_ms + np.concatenate([np.zeros(backlog), rng.integers(-8, 9, rows - backlog)])
@@ -297,7 +297,7 @@ def test_bad_cells(tmp_path: pathlib.Path, row: int, column: int, cell: str, tex
 def test_other_units_are_refused(
     tmp_path: pathlib.Path, columns: tuple[int, ...], factor: float, text: str
 ) -> None:
-    """They were imported, with nearly every frame marked as wrong."""
+    """Nearly every frame would be marked as wrong."""
     cells = made_up(tmp_path)
     rng = np.random.default_rng(2)
     for row in cells:
@@ -311,7 +311,7 @@ def test_other_units_are_refused(
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("before", ["", "\ufeff"], ids=["plain", "with BOM"])
 def test_line_ends_and_empty_lines_do_not_matter(tmp_path: pathlib.Path, before: str, end: str) -> None:
-    """As editors and mail leave them; errors name the lines as an editor counts them."""
+    """As editors and mail programs write them; errors count lines as an editor does."""
     made_up(tmp_path)
     plain = load_run(tmp_path / "line7.csv")
     text = (tmp_path / "line7.csv").read_text()

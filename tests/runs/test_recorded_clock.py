@@ -1,4 +1,4 @@
-"""The stroke clock of recorded runs: other periods, slips, frames cut out or doubled; runs without one."""
+"""The stroke clock of recorded runs: other periods, slips, frames missing or doubled; runs without one."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ from frogkick.runs.recorded.importer import clock_problem, load_run, period_limi
 
 
 def test_half_and_twice_the_period_are_told_apart_by_the_motion() -> None:
-    """Labels that change at even strokes alone: twice the period fits them too, half of it always does."""
+    """Labels change only at every second stroke.
+
+    Twice the period fits them too, and half of it always does.
+    """
     time = np.arange(0.0, 60.0, 0.067)
     action = np.where(time < 1.0, REST, np.array([0, 0, 1, 1, 2, 2])[((time - 1.0) // 1.1).astype(int) % 6])
     speed = 0.02 + 0.02 * np.sin(2.0 * np.pi * (time - 1.3) / 1.1) * (time > 1.0)
@@ -41,14 +44,14 @@ def test_half_and_twice_the_period_are_told_apart_by_the_motion() -> None:
 
 
 def altered(source: pathlib.Path, folder: pathlib.Path, **how: float) -> pathlib.Path:
-    """A recorded run with its clock or its frames changed, its path beside it.
+    """A recorded run with its clock or its frames changed, with its path beside it.
 
     Args:
-        source: its file.
+        source: the run's file.
         folder: where to write.
-        how: stretch: factor of all times; slip_s: later by so much, or so much of it cut out where negative,
-            from the share at of its motion on; cut: share of the frames left out; holes: so many of 1.5 s;
-            twice: share of the frames written twice.
+        how: ``stretch``: factor of all times; ``slip_s``: delay from the share ``at`` of the motion on, or if
+            negative the time that is cut out there; ``cut``: share of the frames left out; ``holes``: number
+            of gaps of 1.5 s; ``twice``: share of the frames written twice.
     """
     head, rows = source.read_text().splitlines()[:2], source.read_text().splitlines()[2:]
     cells = [row.split(",") for row in rows if row.strip()]
@@ -109,7 +112,7 @@ def test_frames_cut_out_or_doubled_leave_the_clock(
 def test_a_slip_is_found_or_the_run_refused(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, name: str, share: float, stretch: float
 ) -> None:
-    """Not line1: five changes of action in twelve strokes, which a slip of 0.3 s need not contradict."""
+    """Without line1: it has five changes of action in twelve strokes, which fit a slip of 0.3 s too."""
     period_s = stretch * read_recorded(frog2022_dir / "control" / f"{name}.csv").period_s
     slip_s = share * period_s
     file = altered(frog2022_dir / "control" / f"{name}.csv", tmp_path, stretch=stretch, slip_s=slip_s)
@@ -131,7 +134,7 @@ def test_a_slip_is_found_or_the_run_refused(
 
 
 def test_slips_are_mostly_found(frog2022_dir: pathlib.Path, tmp_path: pathlib.Path) -> None:
-    """Refusing all would pass the test before: of half a period every one is found."""
+    """Refusing all runs would pass the test before. Every slip of half a period is found."""
     for name in ("sin1", "ellipse1", "ellipse3", "ellipse5", "ellipse6"):
         source = frog2022_dir / "control" / f"{name}.csv"
         run = read_recorded(altered(source, tmp_path, slip_s=0.7))
@@ -139,7 +142,7 @@ def test_slips_are_mostly_found(frog2022_dir: pathlib.Path, tmp_path: pathlib.Pa
 
 
 def without_a_clock(source: pathlib.Path, folder: pathlib.Path) -> pathlib.Path:
-    """A recorded run with labels at random times, its path beside it."""
+    """A recorded run with labels at random times, and its path beside it."""
     file = altered(source, folder)
     lines = file.read_text().splitlines()
     rng, label = np.random.default_rng(5), "I"
@@ -154,9 +157,9 @@ def without_a_clock(source: pathlib.Path, folder: pathlib.Path) -> pathlib.Path:
 def test_a_run_without_a_clock_changes_nothing_among_good_ones(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``identify`` end to end, with few candidates: told and written is what the good runs give.
+    """``identify`` end to end, with few candidates: output and file are those of the good runs alone.
 
-    Laws beside the candidates, which see the same runs, are looked for in make test-full alone.
+    Laws, which are searched for on the same runs, are included at level full only.
     """
     few = [term for term in catalogue(load_robot("frog2022")) if term.title == "steady_current"]
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_: few)
@@ -193,7 +196,7 @@ def test_a_run_without_a_clock_changes_nothing_among_good_ones(
 def test_a_run_without_a_clock_is_not_used_in_silence(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path
 ) -> None:
-    """Labels at random times: one line says so, and nothing goes on with it."""
+    """Labels at random times: one line says so, and nothing uses the run."""
     source = frog2022_dir / "control" / "sin3.csv"
     file = without_a_clock(source, tmp_path)
     run = read_recorded(file)

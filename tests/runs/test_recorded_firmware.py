@@ -1,4 +1,4 @@
-"""The paper's recorded runs through the whole firmware: fixes in, strokes out, the Python twin beside it."""
+"""The paper's recorded runs through the whole firmware: fixes in, strokes out, compared with the twin."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LATE_US = (
 
 
 class Watched:
-    """A robot whose pins and words are looked at while it is talked with."""
+    """A port that records the pin edges and frames of a robot."""
 
     def __init__(self, robot: RobotPort) -> None:
         self.robot = robot
@@ -61,7 +61,7 @@ def swum_again(data: pathlib.Path, name: str, place: str, depth: int) -> tuple[R
 
 
 def wanted(decisions: Sequence[Decision], refused_us: set[int], end_us: int) -> list[tuple[int, int, int]]:
-    """(time, limb, decision) that the twin's decisions ask for: first limbs, then the others."""
+    """(time, limb, decision) of the pulses that decisions ask for: first limbs, then the others."""
     tables, found = rig.tables(), []
     for number, decision in enumerate(decisions):
         row = tables.actions[decision.action]
@@ -75,7 +75,7 @@ def wanted(decisions: Sequence[Decision], refused_us: set[int], end_us: int) -> 
 
 
 def check_strokes(port: Watched, result: Replay, late_us: float) -> int:
-    """Pins against the twin's decisions; how many pulses there were."""
+    """Compare the pins with the twin's decisions; return the number of pulses."""
     refusals = {int(frame.values["begin_us"]) for frame in port.words if frame.name == "REFUSED"}
     ended = [frame for frame in port.words if frame.name == "ENDED"]
     decided = {decision.scheduled_us for decision in result.host}
@@ -103,7 +103,7 @@ def check_strokes(port: Watched, result: Replay, late_us: float) -> int:
 
 
 def ends_of(port: Watched) -> set[int]:
-    """Numbers, over all runs, of the decisions by which a run ended."""
+    """Indices, over all runs, of the decisions that ended a run."""
     found, number = set(), -1
     for frame, following in zip(port.words, [*port.words[1:], None], strict=True):
         if frame.name == "DECISION":

@@ -1,4 +1,4 @@
-"""Replay: recorded runs of the paper, and our own logs decided again as they were."""
+"""Replay: recorded runs of the paper, and our own logs whose decisions are repeated exactly."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_host_alone_decides_our_own_log_again(own_log: RunLog) -> None:
 
 
 def made_again(made: list[Decision], log: RunLog) -> bool:
-    """Whether estimates, costs and shares of decisions are those of a log, to the bit."""
+    """Whether estimates and costs of decisions equal those of a log to the bit."""
     decisions = log.decisions
     assert decisions.cost is not None and decisions.estimate is not None
     return [one.cost for one in made] == decisions.cost.tolist() and np.array_equal(
@@ -86,7 +86,7 @@ def made_again(made: list[Decision], log: RunLog) -> bool:
 
 @pytest.mark.parametrize("onboard", [True, False])
 def test_each_bit_of_a_decision_is_made_again(own_log: RunLog, onboard: bool) -> None:
-    """The log has the fixes as whoever decided had them: to the microsecond, and among his decisions."""
+    """The log has each fix as the planner received it: at which microsecond, and between which decisions."""
     log = own_log
     if not onboard:
         log = rig.swim("pool", "sine", 8.0, depth=2, onboard=False).log()
@@ -107,7 +107,7 @@ def test_each_bit_of_a_decision_is_made_again(own_log: RunLog, onboard: bool) ->
 
 
 class Late(NativeRobot):
-    """A robot whose port is too late to begin its third stroke, so that it is refused."""
+    """A robot whose port is too late to begin its third stroke, so that the stroke is refused."""
 
     begun = 0
 
@@ -139,7 +139,7 @@ def test_a_stroke_that_was_refused_is_none_in_a_replay(onboard: bool) -> None:
 
 
 def test_a_chip_has_the_fixes_again_within_two_microseconds(own_log: RunLog) -> None:
-    """Its core looks at the line at times of its own: the last digits of what it makes of them differ."""
+    """The chip polls its line at its own times, so the last digits of its estimates differ."""
     found = both(own_log, "virtual", depth=2)
     assert found.differences == [] and found.agreement == 1.0 and own_log.decisions.estimate is not None
     estimates = np.array([one.estimate for one in found.onboard])
@@ -147,7 +147,7 @@ def test_a_chip_has_the_fixes_again_within_two_microseconds(own_log: RunLog) -> 
 
 
 def test_a_log_from_before_has_the_times_of_its_fixes_in_seconds(own_log: RunLog) -> None:
-    """So has one of which no fix was answered."""
+    """An older log has the fixes' times in seconds only, and so has one in which no fix was answered."""
     extra = {key: own_log.fixes.extra[key] for key in ("sequence", "robot_capture_us", "robot_status")}
     nothing = np.full(len(own_log.fixes), -1)
     for place, heard in ((None, {}), ("pool", {}), ("pool", {"heard_us": nothing, "heard_after": nothing})):
@@ -161,7 +161,7 @@ def test_a_log_from_before_has_the_times_of_its_fixes_in_seconds(own_log: RunLog
 
 
 def test_decisions_that_differ_leave_the_host_s_estimates_alone(own_log: RunLog) -> None:
-    """The robot swam what it had decided, whatever another planner would have had it swim."""
+    """The robot swam what it had decided, whatever another planner decides in the replay."""
     as_swum, other = (
         replay(own_log, rig.tables(), PlanConfig(depth=depth, angle_weight_per_rad=weight), None, host=True)
         for depth, weight in ((2, 50.0), (1, 5000.0))

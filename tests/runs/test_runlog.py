@@ -1,4 +1,4 @@
-"""The run log: what is written comes back, and what is not a run is refused in one line."""
+"""The run log: what is written is read back, and what is not a run is refused in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A conversation: answers, refusals, timeouts, a robot with another table or protocol."""
+"""A session: answers, refusals, timeouts, a robot with another table or protocol."""
 
 from __future__ import annotations
 

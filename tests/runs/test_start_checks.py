@@ -1,4 +1,4 @@
-"""Before a robot is armed: what is refused, and what is not."""
+"""Checks before a robot is armed: what is refused, and what is not."""
 
 from __future__ import annotations
 

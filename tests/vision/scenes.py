@@ -1,4 +1,4 @@
-"""Scenes that the suite shares: a 1.2 m pool at 640 x 480, seen from the side of its middle."""
+"""Scenes for the tests of vision: a pool of 1.2 m at 640 x 480 pixels, seen from the side of its middle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from frogkick.vision.tracker import Observation, Tracker
 
 
 class Told(np.random.Generator):
-    """A generator that tells how far the tag of the last picture was lifted, which no picture shows.
+    """A random generator that remembers by how much the tag of the last picture was lifted.
 
     Attributes:
         heave: in standard deviations: a scene draws it as the only single number of a normal distribution.
@@ -36,25 +36,25 @@ class Told(np.random.Generator):
 
 
 def aside(of: Scene, place_m: tuple[float, float]) -> npt.NDArray[np.float64]:
-    """(2,) how far aside the camera sees a place, in its heights: by so many mm a mm of heave shifts it."""
+    """(2,) m by which the camera sees a place shifted, for each m of heave."""
     camera = of.view.place_m
     return np.asarray((np.array(place_m) - camera[:2]) / (camera[2] - of.tag_height_m))
 
 
 def scene(**conditions: float) -> Scene:
-    """The usual pool, spoilt as told."""
+    """The usual scene with some disturbances."""
     return Scene(conditions=Conditions(**conditions))
 
 
 def calibration(of: Scene, **tag: float) -> Calibration:
-    """What ``camera calibrate`` makes of the four corners and the camera's height."""
+    """The calibration of ``camera calibrate`` from the four corners and the camera's height."""
     described = Tag(family=of.family, id=of.tag_id, size_m=of.tag_size_m, height_m=of.tag_height_m, **tag)
     height = float(of.view.place_m[2])
     return calibrate_corners(of.corners_px(), of.pool_m, of.view.image_px, described, 0.0, height)
 
 
 def drawn_pose(of: Scene, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Anywhere a tag's width from the walls, any heading."""
+    """A random pose at least a tag's width from the walls, with any heading."""
     edge = of.tag_size_m
     return (
         float(rng.uniform(edge, of.pool_m[0] - edge)),
@@ -66,7 +66,7 @@ def drawn_pose(of: Scene, rng: np.random.Generator) -> tuple[float, float, float
 def errors(
     of: Scene, poses: int, rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float64], list[Observation]]:
-    """Look for tags at drawn poses, each in the whole frame.
+    """Look for tags at random poses, each in the whole frame.
 
     Returns:
         (found, 3) errors in x and y, m, and heading, rad; and every observation.

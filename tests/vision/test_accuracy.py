@@ -38,7 +38,7 @@ def test_position_and_heading(conditions: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("wave_height_m", [0.001, 0.002])
 def test_the_heading_holds_on_waves_that_tilt_the_tag(wave_height_m: float) -> None:
-    """Slopes of 1.2 and 2.4 degrees, which turn the picture of a tag that is seen from aside."""
+    """Slopes of 1.2 and 2.4 degrees, which turn the picture of a tag that is seen from the side."""
     rough = scene(wave_height_m=wave_height_m)
     off, seen = errors(rough, WAVES, np.random.default_rng(8))
     assert len(off) >= 0.95 * WAVES, [one.reason for one in seen]
@@ -59,7 +59,7 @@ def test_the_heading_holds_on_waves_that_tilt_the_tag(wave_height_m: float) -> N
 
 @pytest.mark.parametrize("wave_height_m", [0.001, 0.002])
 def test_waves_move_the_place_by_their_heave_alone(wave_height_m: float) -> None:
-    """One camera does not see how high a wave lifts the tag; all else that waves do is found."""
+    """One camera cannot see how high a wave lifts the tag. All other effects of waves are compensated."""
     rough = scene(wave_height_m=wave_height_m)
     tracker, rng = Tracker(calibration(rough)), Told(9)
     off, left = [], []
@@ -76,7 +76,7 @@ def test_waves_move_the_place_by_their_heave_alone(wave_height_m: float) -> None
 
 
 def test_the_covariance_holds_the_errors() -> None:
-    """Nine of ten errors within what nine of ten should be (chi squared, 3 numbers: 6.25), waves included."""
+    """Nine of ten errors are within the 90 % ellipsoid (chi squared of 3 numbers: 6.25), also on waves."""
     usual = scene(noise=6.0, wave_height_m=0.0005)
     off, seen = errors(usual, count(30, 1000, 15), np.random.default_rng(2))
     found = [one.pose for one in seen if one.pose is not None]
@@ -100,7 +100,7 @@ def test_noise_makes_the_covariance_larger() -> None:
 
 
 def test_a_tag_whose_height_is_not_stated_is_seen_elsewhere() -> None:
-    """12 mm over the water, told as 0: off by what lies between camera and tag, so that height matters."""
+    """A tag 12 mm over the water, stated as 0, is off by its parallax, so the height matters."""
     usual = scene()
     from frogkick.vision.board import calibrate_corners
     from frogkick.vision.calibration import Tag

@@ -56,7 +56,7 @@ def test_corners_of_a_rim_above_the_water() -> None:
 
 
 def test_what_lies_under_water_is_seen_raised() -> None:
-    """By Snell's law, 0.1 m deep and 0.2 m off the camera's foot: within half a millimetre of the formula."""
+    """Snell's law for 0.1 m of depth, 0.2 m beside the camera: the formula is within half a millimetre."""
     depth, height, off = 0.1, 1.35, 0.2
     low, high = 0.0, off
     for _ in range(60):

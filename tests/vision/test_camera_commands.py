@@ -101,7 +101,7 @@ def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def board_pictures(folder: Path, kind: str) -> tuple[Path, np.ndarray]:
-    """A board of 9 x 6 squares of 40 mm, held in several ways before a known lens; and the camera matrix."""
+    """A camera matrix, and its pictures of a board of 9 x 6 squares of 40 mm in several poses."""
     cell = 60
     if kind == "charuco":
         flat = Board(kind, 9, 6, 0.04).charuco().generateImage((9 * cell, 6 * cell))
@@ -260,7 +260,7 @@ def test_wrong_input_is_one_line(
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, np.ndarray]:
-    """A calibration, pictures of a tag that moves on, but the first four of none, and the tag's poses."""
+    """A calibration, pictures of a moving tag after four without one, and the poses of the tag."""
     folder = tmp_path_factory.mktemp("filmed")
     (folder / "pictures").mkdir()
     rng = np.random.default_rng(8)
@@ -332,7 +332,7 @@ def test_tracking_tells_what_is_wrong(
 def test_a_printed_tag_is_to_scale_and_points_forward(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its picture is found by the same tracker: corners as far apart as said, the arrow's end at its top."""
+    """OpenCV finds the tag on the page: its corners are as far apart as its size, the arrow is at its top."""
     done = frogkick(capsys, "camera", "tag", "--out", tmp_path / "t.png", "--tag-id", "7", "--json")
     assert done.code == 0
     image = cv2.imread(str(tmp_path / "t.png"), cv2.IMREAD_GRAYSCALE)

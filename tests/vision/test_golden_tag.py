@@ -43,7 +43,7 @@ def golden() -> npt.NDArray[np.float32]:
 
 
 def photograph(cells: npt.NDArray[np.float32], turn: int, cell_px: int = 6) -> npt.NDArray[np.uint8]:
-    """A grey picture of 320 x 240 with the cells in its middle, turned counter-clockwise by quarters."""
+    """A grey picture of 320 x 240 with the cells in its middle, turned counter-clockwise by quarter turns."""
     image = np.full((240, 320), 120.0)
     drawn = np.kron(np.rot90(cells, turn), np.ones((cell_px, cell_px)))
     half = len(drawn) // 2
@@ -71,7 +71,7 @@ def test_our_cells_are_the_golden_ones() -> None:
 
 @pytest.mark.parametrize(("turn", "heading_deg"), [(0, 90), (1, 180), (2, -90), (3, 0)])
 def test_the_heading_of_the_golden_tag(turn: int, heading_deg: float) -> None:
-    """The picture's top is where the robot's forward is: upright in a camera from above, that is +y."""
+    """The tag's top points forward on the robot: upright in a camera from above, that is +y."""
     seen = Tracker(from_above(0.048)).observe(photograph(golden(), turn))
     assert seen.reason == "found"
     assert seen.pose is not None
@@ -100,7 +100,7 @@ def test_a_mirrored_tag_is_none() -> None:
 
 @pytest.mark.parametrize("turn", range(4))
 def test_which_way_round_a_square_is(turn: int) -> None:
-    """Where the cells cannot be read, the template finds the turn."""
+    """Where the cells cannot be decoded, the template finds the orientation."""
     image = photograph(golden(), turn, cell_px=4)
     square = np.array([[143.5, 103.5], [175.5, 103.5], [175.5, 135.5], [143.5, 135.5]])
     best, likeness = likeliest_turn(image, square, templates("tag36h11", 0))
@@ -110,7 +110,7 @@ def test_which_way_round_a_square_is(turn: int) -> None:
 
 
 def test_where_the_tag_sits_on_the_robot() -> None:
-    """A tag 30 mm ahead and 10 mm to the left of the robot's origin, its top to the robot's left."""
+    """A tag 30 mm ahead and 10 mm to the left of the robot's origin, with its top to the robot's left."""
     usual = scene()
     moved = calibration(usual, mount_heading_rad=np.pi / 2, offset_body_m=(0.03, 0.01))
     robot = (0.5, 0.4, 0.3)

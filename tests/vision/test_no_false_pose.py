@@ -1,4 +1,4 @@
-"""A frame without a tag that can be trusted gives no pose and a reason."""
+"""A frame without a trustworthy tag gives no pose, and a reason."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_no_pose_without_a_tag() -> None:
 
 @pytest.mark.parametrize("wrong", [1, 2, 3, 5])
 def test_a_tag_with_wrong_cells_is_none(wrong: int) -> None:
-    """Codes are 11 cells apart; more wrong cells than OpenCV corrects, or any that shows, are refused."""
+    """Codes differ in 11 cells. A tag with a cell that is clearly wrong is refused."""
     rng = np.random.default_rng(12)
     usual = scene()
     tracker = Tracker(calibration(usual))

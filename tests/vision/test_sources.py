@@ -1,4 +1,4 @@
-"""Where pictures come from, and what is said when none come."""
+"""Sources of pictures, and their errors."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_what_is_no_source(source: str, says: str, tmp_path: Path, monkeypatch: 
 
 
 class Camera:
-    """Stands in for cv2.VideoCapture: gives prepared pictures, then none."""
+    """Replaces cv2.VideoCapture: gives prepared pictures, then none."""
 
     def __init__(self, pictures: list[np.ndarray]) -> None:
         self._pictures = iter(pictures)

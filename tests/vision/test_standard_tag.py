@@ -1,4 +1,4 @@
-"""tagStandard41h12, the tag of the authors' robot: corner order, poses, no false ones, no extra.
+"""tagStandard41h12, the tag of the authors' robot: corner order, poses, no false poses, a missing package.
 
 The golden picture is written from the AprilTag library's published table: its first code and the place of
 each of the 41 bits.
@@ -100,7 +100,7 @@ def test_the_corners_of_the_golden_tag() -> None:
     ids=lambda conditions: ",".join(f"{key}={value}" for key, value in conditions.items()) or "plain",
 )
 def test_position_and_heading(conditions: dict[str, float]) -> None:
-    """The bounds that tag36h11 has."""
+    """Within the bounds of tag36h11."""
     off, seen = errors(spoilt(**conditions), count(6, 500, 4), np.random.default_rng(1))
     assert [one.reason for one in seen if one.pose is None] == []
     assert 1e3 * np.hypot(off[:, 0], off[:, 1]).max() < 1.0
@@ -169,7 +169,7 @@ def test_the_command_writes_the_family_and_checks_with_it(
 
 
 def test_a_program_that_looked_for_one_ends_in_peace() -> None:
-    """The library's own detector frees what it still looks at when it goes, which now and then is a fault."""
+    """The library's own detector frees a family that it still uses, which can crash a program at its end."""
     from pupil_apriltags import Detector
 
     assert isinstance(tags.standard_detector(), Detector)

@@ -1,4 +1,4 @@
-"""A run's log in progress: rows on disk as they come, readable after a kill, removed at the end of the run."""
+"""A run's log in progress: rows on disk as they come, readable after a kill, removed when the run ends."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -41,8 +42,10 @@ def violations(robot: Robot, pulses: Sequence[Pulse]) -> list[str]:
         for pulse in pulses
         if pulse.limb >= len(robot.limbs)
     ]
+    longest_s = _TOLERANCE_S + max((pulse.end_s - pulse.start_s for pulse in pulses), default=0.0)
     for limb in range(len(robot.limbs)):
         mine = sorted((p for p in pulses if p.limb == limb), key=lambda pulse: pulse.start_s)
+        starts_s = [pulse.start_s for pulse in mine]
         name = robot.limbs[limb].name
         for index, pulse in enumerate(mine):
             length_s = pulse.end_s - pulse.start_s
@@ -51,13 +54,18 @@ def violations(robot: Robot, pulses: Sequence[Pulse]) -> list[str]:
             if index and pulse.start_s - mine[index - 1].end_s < guard.rest_min_s - _TOLERANCE_S:
                 found.append(f"{name} rested {pulse.start_s - mine[index - 1].end_s:.4f} s")
             window_start_s = pulse.end_s - guard.duty_window_s
-            on_s = sum(max(0.0, min(p.end_s, pulse.end_s) - max(p.start_s, window_start_s)) for p in mine)
+            first = bisect_left(starts_s, window_start_s - longest_s)
+            lately = mine[first : bisect_left(starts_s, pulse.end_s)]
+            on_s = sum(max(0.0, min(p.end_s, pulse.end_s) - max(p.start_s, window_start_s)) for p in lately)
             if on_s > guard.duty_max * guard.duty_window_s + _TOLERANCE_S:
                 found.append(f"{name} on for {on_s:.4f} s within {guard.duty_window_s} s")
+    every = sorted(pulses, key=lambda pulse: pulse.start_s)
+    starts_s = [pulse.start_s for pulse in every]
     for pulse in pulses:
         # The largest number of limbs is on just after a start.
         at_s = pulse.start_s + _TOLERANCE_S
-        together = len({p.limb for p in pulses if p.start_s <= at_s < p.end_s})
+        begun = every[bisect_left(starts_s, at_s - longest_s) : bisect_right(starts_s, at_s)]
+        together = len({p.limb for p in begun if at_s < p.end_s})
         if together > guard.limbs_at_once_max:
             found.append(f"{together} limbs on at {pulse.start_s:.3f} s")
     return found

@@ -204,8 +204,11 @@ class Recording:
         """The log of the run so far."""
         robot, tables, options, truth = self.robot, self.tables, self.options, None
         pulses = pulses_of(self.edges, self.end_s)
-        starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
-        masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
+        fired: dict[tuple[float, float], int] = {}  # begin and end -> mask of the limbs
+        for pulse in pulses:
+            span_s = pulse.start_s, pulse.end_s
+            fired[span_s] = fired.get(span_s, 0) | 1 << pulse.limb
+        spans = sorted(fired)
         tracked = self.tracking()
         numbers = tracked.as_json()
         if not options.onboard:
@@ -230,9 +233,9 @@ class Recording:
             fixes=self.fix_columns(),
             decisions=self.decision_columns(),
             strokes=Strokes(
-                time_s=np.array([start for start, _ in starts]),
-                limb_mask=np.array(masks, dtype=np.int64),
-                pulse_s=np.array([end - start for start, end in starts]),
+                time_s=np.array([start for start, _ in spans]),
+                limb_mask=np.array([fired[span_s] for span_s in spans], dtype=np.int64),
+                pulse_s=np.array([end - start for start, end in spans]),
             ),
             path=self.path,
             then=tuple(self.then),

@@ -124,8 +124,9 @@ def _schedule(run: RunLog, tables: Tables) -> Schedule:
     fixes, heard = [], []
     # The robot recognises a duplicate by its number and pose.
     numbers = extra.get("sequence", np.arange(len(run.fixes)))
+    poses = run.fixes.pose_world
     for row in np.flatnonzero(used):
-        pose = run.fixes.pose_world[row].tolist()
+        pose = poses[row].tolist()
         arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
         capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
         fixes.append(

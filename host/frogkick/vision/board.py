@@ -91,11 +91,11 @@ class Board:
         return home.astype(np.float64), np.asarray(corners).reshape(-1, 2).astype(np.float64)
 
 
-def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
-    """Read a folder's pictures, by name, as grey levels.
+def picture_files(folder: Path | str) -> list[Path]:
+    """A folder's pictures, by name.
 
     Raises:
-        InputError: there is no such folder, no picture in it, or one that cannot be read.
+        InputError: there is no such folder, or no picture in it.
     """
     place = Path(folder)
     if not place.is_dir():
@@ -103,7 +103,12 @@ def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
     names = sorted(file for file in place.iterdir() if file.suffix.lower() in PICTURE_ENDINGS)
     if not names:
         raise InputError(f"folder {str(folder)!r} holds no picture ({', '.join(PICTURE_ENDINGS)})")
-    return [(file.name, read_picture(file)) for file in names]
+    return names
+
+
+def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
+    """Read a folder's pictures, by name, as grey levels; see ``picture_files`` and ``read_picture``."""
+    return [(file.name, read_picture(file)) for file in picture_files(folder)]
 
 
 def read_picture(path: Path | str) -> UInt8:

@@ -17,7 +17,7 @@ import numpy as np
 from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
-from frogkick.vision.board import read_pictures
+from frogkick.vision.board import picture_files, read_picture
 
 FROZEN_FRAMES = 8
 """As many pictures that all equal the one before them come from no live camera, whose noise differs."""
@@ -145,9 +145,9 @@ def video_frames(path: Path | str) -> Iterator[Frame]:
 
 
 def folder_frames(folder: Path | str, rate_hz: float = 30.0) -> Iterator[Frame]:
-    """A folder's pictures by name, as if taken at a constant rate (see ``board.read_pictures``)."""
-    for sequence, (_, image) in enumerate(read_pictures(folder)):
-        yield Frame(image, sequence / rate_hz, sequence, False)
+    """A folder's pictures by name, as if taken at a constant rate (see ``board.picture_files``)."""
+    for sequence, file in enumerate(picture_files(folder)):
+        yield Frame(read_picture(file), sequence / rate_hz, sequence, False)
 
 
 def open_source(text: str, image_px: tuple[int, int] | None = None, rate_hz: float = 30.0) -> Iterator[Frame]:

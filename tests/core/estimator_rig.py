@@ -1,4 +1,4 @@
-"""Lives and swims for the estimator's tests: fix streams with every fault, the C beside its twin."""
+"""Random streams and swims for tests of the estimator: fixes with every fault; the C beside the Python."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def table(name: str) -> tuple[bytes, Tables]:
 
 
 class CEstimator:
-    """The estimator in C, with the twin's methods."""
+    """The estimator in C, with the methods of the one in Python."""
 
     def __init__(self, name: str = "usual", made: Any = None) -> None:
         self._core = core() if made is None else made
@@ -77,14 +77,14 @@ class CEstimator:
         return np.frombuffer(found[0], dtype=np.float32).astype(np.float64)
 
     def inside(self) -> tuple[bytes, tuple[int, ...]]:
-        """All that it believes, as bytes, and (instants, fixes, restarts)."""
+        """Its whole state as bytes, and (instants, fixes, restarts)."""
         values, counts = np.zeros(200, dtype=np.float32), FFI.new("uint32_t[3]")
         to = FFI.from_buffer("float[]", values, require_writable=True)
         used = self._core.fk_test_estimator_inside(self._memory, to, counts)
         return values[:used].tobytes(), tuple(counts)
 
     def newest(self) -> npt.NDArray[np.float32]:
-        """(2,) where it expects to be at the newest instant."""
+        """(2,) predicted position at the newest instant."""
         values, (instants, *_) = self.inside()
         return np.frombuffer(values, np.float32)[: 6 * instants].reshape(3, -1)[:2, -2]
 
@@ -93,7 +93,7 @@ class CEstimator:
 
 
 class Twin:
-    """The Python estimator, its answers as bytes."""
+    """The estimator in Python, its results as bytes."""
 
     def __init__(self, name: str = "usual") -> None:
         self._twin = Estimator(table(name)[1])
@@ -132,9 +132,9 @@ WILD = np.array(
 
 @dataclass
 class Stream:
-    """One random life: what is told to an estimator, in its order; (what, time, given, sequence).
+    """Random inputs of an estimator in their order: (kind, time_us, value, sequence).
 
-    given: a pose, an action, or whether to learn what limbs have lost.
+    The value is a pose, an action, or whether to learn what limbs have lost.
     """
 
     table: str
@@ -142,7 +142,7 @@ class Stream:
 
 
 def stream(seed: int) -> Stream:
-    """Fixes with every fault, decisions, questions, gaps, a robot moved by hand, from one seed."""
+    """Fixes with every fault, decisions, queries, gaps, and a robot that is moved by hand."""
     if seed % 100 == 7:
         return obedient(seed)
     if seed % 40 == 14:
@@ -212,12 +212,12 @@ def stream(seed: int) -> Stream:
 
 
 def obedient(seed: int) -> Stream:
-    """A robot that does to the table's word what it is told."""
+    """A robot that moves exactly as the table predicts."""
     return _told("usual", swim(seed, 12, kick=0.0), [])
 
 
 def worn(seed: int) -> Stream:
-    """A robot that learns what its limbs have lost, of which some have, some more from a moment on."""
+    """A robot that learns what its limbs have lost; some are worn, and more so from a moment on."""
     rng = np.random.default_rng([seed, 1])
     lost = [rng.choice([0, 0, rng.integers(32768), 32767], 4).tolist() for _ in range(2)]
     if (dice := np.random.default_rng([seed, 2])).random() < 0.25:  # all alike, and then perhaps one more
@@ -231,7 +231,7 @@ def worn(seed: int) -> Stream:
 
 
 def _told(name: str, given: Swim, more: list[tuple[int, tuple[str, int, Any, int]]]) -> Stream:
-    """What a robot is told that swims like this, and more, each at its time."""
+    """The inputs of an estimator whose robot swims like this, and further ones, in order of time."""
     fixes = [(arrival_us, ("fix", time_us, pose, k)) for arrival_us, time_us, pose, k in on_time(given)]
     acts = list(zip(given.starts_us, given.actions, strict=True))
     asked = [(time_us, (what, time_us, None, 0)) for time_us, _ in acts for what in ("at", "end_period")]
@@ -241,7 +241,7 @@ def _told(name: str, given: Swim, more: list[tuple[int, tuple[str, int, Any, int
 
 
 def answers(life: Stream, estimator: CEstimator | Twin) -> list[object]:
-    """Everything that an estimator says to a stream, and all that it believes at the end."""
+    """All results of an estimator for a stream, and its state at the end."""
     said: list[object] = []
     for what, time_us, given, sequence in life.events:
         if what == "fix":
@@ -259,7 +259,7 @@ def answers(life: Stream, estimator: CEstimator | Twin) -> list[object]:
 
 @dataclass
 class Swim:
-    """A robot that does what the table says and a kick of its own beside it, and fixes of it.
+    """A robot whose speed differs from the table's at random after each stroke, and its fixes.
 
     Attributes:
         starts_us: decision times.
@@ -283,9 +283,10 @@ def swim(
     name: str = "usual",
     lost: list[list[int]] | None = None,
 ) -> Swim:
-    """Made with float64 and formulas of its own: speed linear while limbs fire, then (u + u^2) / 2.
+    """Simulate a swim in float64 by separate formulas: speed linear while limbs fire, then (u + u^2) / 2.
 
-    lost: what the limbs have lost in the first half and in the second.
+    ``kick`` scales the random change of speed of each stroke; ``lost`` is what the limbs have lost in the
+    first half and in the second.
     """
     rng = np.random.default_rng(seed)
     arrays = table(name)[1]

@@ -1,4 +1,4 @@
-"""The estimator: C against its Python twin bit for bit, and what it makes of each kind of fix."""
+"""The estimator: C against its Python twin bit for bit, and what it does with each kind of fix."""
 
 from __future__ import annotations
 
@@ -144,14 +144,14 @@ def test_a_changed_estimator_is_not_the_twin(name: str) -> None:
 
 @cache
 def expected(seed: int) -> list[object]:
-    """What the unchanged C says: the test above has compared it with the twin."""
+    """Results of the unchanged C, which the test above has compared with the Python."""
     life = stream(seed)
     return answers(life, CEstimator(life.table))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 30.0])
 def test_a_period_whose_end_is_nowhere_is_not_learned_from(value: float) -> None:
-    """The pose at a period's end is no number, or metres from where it can be."""
+    """The pose at a period's end is not a number, or metres from where the robot can be."""
     given = swim(3, 4, kick=0.0, name="worn")
     ours, theirs = CEstimator("worn"), Twin("worn")
     for made in (ours, theirs):

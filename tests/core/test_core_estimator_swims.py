@@ -1,4 +1,4 @@
-"""What the estimator makes of fixes of a swim: noise, lateness, doubles, wrong ones, none."""
+"""Errors of the estimator on simulated swims: fixes with noise, late, duplicate, wrong, or missing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from frogkick.estimator.track import COAST_US
 
 
 def test_without_noise_it_finds_the_truth() -> None:
-    """What is left is the prior's weight, and the 80 ms after the last fix."""
+    """The remaining error is from the prior's weight and the 80 ms after the last fix."""
     for seed in range(5):
         given = swim(seed, rate_hz=30.0, noisy=False)
         position, heading, velocity = rms(follow(given, on_time(given)))
@@ -23,7 +23,7 @@ def test_without_noise_it_finds_the_truth() -> None:
 
 @pytest.mark.parametrize(("rate_hz", "limits"), [(3, (1.2e-3, 6e-3, 3.5e-3)), (15, (3e-4, 3e-3, 1e-3))])
 def test_it_is_better_than_the_fixes(rate_hz: float, limits: tuple[float, ...]) -> None:
-    """Of which one has 0.28 mm (two axes) and 0.2 degrees, and 80 ms and more of swimming since."""
+    """A fix has an error of 0.28 mm (two axes) and 0.2 degrees, and is 80 ms old or more."""
     found = np.array(
         [rms(follow(given, on_time(given))) for given in (swim(s, 30, rate_hz) for s in range(8))]
     )
@@ -58,7 +58,7 @@ def test_plainly_wrong_fixes_leave_no_trace() -> None:
 
 
 def test_fixes_from_before_the_last_stroke_correct_what_followed() -> None:
-    """Known strokes since: fixes of an older period make the prediction of the next state better."""
+    """Fixes of an earlier period improve the prediction over the strokes that are known since."""
     errors = []
     for seed in range(30):
         given = swim(seed, 8)
@@ -113,7 +113,7 @@ def test_a_first_fix_that_was_wrong_is_forgotten() -> None:
 
 
 def test_while_nothing_is_seen_it_goes_on_predicting() -> None:
-    """The guard's rule counts fixes; the estimator waits with a prediction, and judges the next fix by it."""
+    """The guard counts fixes; the estimator keeps its prediction, and gates the next fix by it."""
     given = swim(4, 12)
     gap = slice(90, 90 + 45)  # three seconds, two strokes
     seen = on_time(given)
@@ -177,7 +177,7 @@ def test_old_and_out_of_range_fixes_change_nothing() -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e20])
 @pytest.mark.parametrize("speed", [0, 1])
 def test_a_state_that_is_no_number_is_given_up(value: float, speed: int) -> None:
-    """Nothing makes one here; if it is there, fixes are refused until the track starts again by them."""
+    """If a state is not finite, fixes are outliers until three of them reset it; nothing here makes one."""
     reported = []
     for made in (CEstimator(), Twin()):
         for k in range(3):
@@ -249,7 +249,7 @@ def test_fixes_are_counted_to_255() -> None:
     ("kick", "low", "high"), [(0.0, 0.29e-3, 0.31e-3), (1.0, 0.8e-3, 6e-3), (8.0, 8e-3, 0.04)]
 )
 def test_how_large_kicks_are_is_learned(kick: float, low: float, high: float) -> None:
-    """Robots that keep to the table, that differ by 2 mm/s each stroke, by 16; it begins with 10 mm/s."""
+    """Speeds differ from the table by 0, 2 or 16 mm/s after each stroke; the first estimate is 10 mm/s."""
     found = []
     for seed in range(4):
         given, estimator = swim(seed, 45, noisy=False, kick=kick), CEstimator()
@@ -260,7 +260,7 @@ def test_how_large_kicks_are_is_learned(kick: float, low: float, high: float) ->
 
 @pytest.mark.parametrize("period_us", [20_000, 2**32 - 1])
 def test_tables_of_strange_periods(period_us: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A gap holds more of these than are predicted at once; and one that, stretched, leaves 32 bits."""
+    """A gap contains more periods than are predicted in a row; and one that is stretched leaves 32 bits."""
     name = str(period_us)
     strange = partial(image, period_us=period_us, pulse_us=9000, second_delay_us=9000)
     monkeypatch.setitem(IMAGES, name, strange)

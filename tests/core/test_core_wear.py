@@ -1,4 +1,4 @@
-"""What limbs have lost, learned in the core: what a host may ask, and what the log tells of it."""
+"""The estimate of what limbs have lost, in the core: commands of a host, and records of the log."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def worn(seed: int, periods: int, learned: Any = None) -> Robot:
 
     Args:
         seed, periods: of its strokes.
-        learned: RAM that keeps it over a reset; what it holds is gone on from.
+        learned: RAM that keeps the estimate over a reset; the robot starts from its content.
     """
     given = swim(seed, periods, kick=0.1, name="worn", lost=[[0, 0, 0, 0], [0, 20_000, 0, 32_767]])
     robot, dice = robot_with_log(learned=learned)[0], random.Random(seed)

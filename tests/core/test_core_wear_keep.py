@@ -1,4 +1,4 @@
-"""What was learned of the limbs, over a reset: kept if it is whole and of the same table, else forgotten."""
+"""The estimate of the limbs' losses over a reset: kept if it is whole and of the same table, else lost."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def other_image() -> bytes:
 
 
 def record(content: bytes) -> Any:
-    """RAM that no start-up clears, with this in it."""
+    """RAM that no start-up clears, with this content."""
     assert len(content) == FFI.sizeof("fk_wear_persistent_t") == BYTES, "no bytes between"
     kept = FFI.new("fk_wear_persistent_t *")
     FFI.buffer(kept)[:] = content
@@ -49,7 +49,7 @@ def whole(lost: Sequence[int] = LOST, table: bytes | None = None) -> bytes:
 
 
 def with_learn(learn: int, content: bytes) -> bytes:
-    """The same of another FK_LEARN_..., and its CRC right again."""
+    """The same record with another FK_LEARN_... and its CRC."""
     reported = struct.pack("<I", learn) + content[4:-4]
     return reported + struct.pack("<I", zlib.crc32(reported))
 
@@ -70,7 +70,7 @@ FORGOTTEN = (OFF, [0, 0, 0, 0])
 
 @pytest.mark.parametrize("seed", range(1, 1 + cases(2, 20)))
 def test_after_a_reset_it_goes_on_from_what_it_knew(seed: int) -> None:
-    """The shares are the same; the twin starts from them to the bit, and both learn on alike."""
+    """The shares are the same. The Python starts from them, and both have the same bits from then on."""
     kept = record(bytes(BYTES))
     learned = lost_of(worn(seed, 50, kept))
     assert max(learned) > 10_000
@@ -111,7 +111,7 @@ def test_whether_it_learns_is_kept_with_what_it_learned(learn: int, wanted: int)
 
 
 def test_all_that_is_no_learning_forgets_by_itself() -> None:
-    """Other parameters begin anew with each start: so does this one where nothing is learned."""
+    """Other parameters have their defaults after each start, and so does this one if nothing is learned."""
     kept = record(bytes(BYTES))
     robot = reset(kept)
     robot.tick()
@@ -144,7 +144,7 @@ def test_numbers_out_of_their_range_forget_though_the_crc_is_right() -> None:
 
 
 def test_another_table_forgets() -> None:
-    """Also where the first one comes back after a start with another."""
+    """Also if the first table is back after a start with another one."""
     kept = record(whole())
     robot = reset(kept, other_image())
     assert known(robot) == FORGOTTEN
@@ -194,7 +194,7 @@ def test_a_table_by_radio_and_a_rollback_forget() -> None:
 
 @cache
 def cutting_core() -> tuple[Any, Any]:
-    """A core in which a reset comes after so many words of the record: the rest of them is not written."""
+    """A core that is reset after this many words of the record: the others are not written."""
     files = mutated(
         "fk_wear_keep.c",
         "static void put(volatile uint32_t *word, uint32_t value) { *word = value; }",
@@ -222,7 +222,7 @@ STATES = {
 @pytest.mark.parametrize("before", STATES)
 @pytest.mark.parametrize("after", STATES)
 def test_a_reset_at_each_word_of_a_changed_record(before: str, after: str) -> None:
-    """It leaves what was kept, or nothing, or what is to be kept: nothing else."""
+    """It leaves the record before, the record after, or none."""
     ffi, made = cutting_core()
     content = image()
     words = ffi.new("uint64_t[]", (len(content) + 7) // 8)
@@ -268,7 +268,7 @@ MUTANTS = {
 
 
 def breaks(made: Any) -> set[str]:
-    """Which of the promises a core does not keep."""
+    """The requirements that a core violates."""
     content = whole()
     found = set()
     robot = reset(record(content), made=made)

@@ -35,7 +35,7 @@ def made_run(
         "made", "frog2022", ("A",), start_s, start_s, np.zeros((periods, 3)), tuple(sorted(strokes)), start_s,
         np.zeros(periods, dtype=np.int64), start_s + PERIOD_S, PERIOD_S, 0.0,
     )  # fmt: skip
-    swim.__dict__["measured"] = world  # as the fixes around each end would tell it
+    swim.__dict__["measured"] = world  # as from the fixes around each end
     nothing = np.zeros((periods, 3))
     residuals = np.column_stack([np.zeros((periods, 6)), body])
     rollout = Rollout(start_s, nothing, nothing, nothing, start, residuals, False)

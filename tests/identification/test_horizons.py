@@ -51,7 +51,7 @@ def test_a_right_model_meets_the_truth_far_ahead(swim: Segments) -> None:
     assert truth is not None
     ((five,),) = roll_out_ahead([replace(RIGHT, noise=NOISE).lane(swim)], (5,))
     for start in range(1, PERIODS - 4):
-        at_s = swim.end_s[start + 4] - 0.1  # a fix that is late by a delay that it does not tell of
+        at_s = swim.end_s[start + 4] - 0.1  # of a fix whose capture time does not include its delay
         true = [np.interp(at_s, truth.time_s, truth.pose_world[:, k]) for k in (0, 1)]
         assert np.hypot(*(five[start, :2] - true)) < 4e-3
     by_periods = {each.periods: each for each in horizons_of(PLAIN, RIGHT, [swim], (1, 2, 5))}

@@ -134,7 +134,7 @@ def test_planted_wear_is_found_among_others(worn: list[Segments]) -> None:
     assert 0.0 < np.abs(left).max() < 0.02
     (row,) = intervals(found.fitted, found.data, left)
     for each, true in zip(row, (0.7, 0.0, 1.0), strict=True):
-        # One interval of 95 % in twenty misses: of these three, each is given twice its width.
+        # One 95 % interval in twenty misses the true value, so each of these three is made twice as wide.
         assert abs(true - each.value) <= each.high - each.low
     assert row[0].low <= 0.7 <= row[0].high
     assert row[0].high - row[0].low < 0.1

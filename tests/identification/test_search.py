@@ -282,7 +282,7 @@ def test_a_rival_is_not_judged_in_a_dip() -> None:
     assert [each.title for each in settled.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [each.title for each in alike] == ["limb_wear all"]
     assert settled.model.values[-1] == pytest.approx(0.062, abs=0.006)
-    # And where the rival was never tried; not where the limbs are weaker as well.
+    # Also if the rival was not tried before; but not if the limbs are weaker as well.
     named, alike = resolve_equivalent(data, noise_reestimated(taken, data), [[], []], [limb, every, fixes])
     assert [each.title for each in named.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [[each.title for each in others] for others in alike] == [[], ["limb_wear all"]]
@@ -301,7 +301,7 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
     data = data_of(swims)
     dip = (term("limb_wear front_left").at((0.76, 0.06, 1.0)), term("fix_latency").at((0.083,)))
     quiet = Noise(NOISE.fix, (8e-6, 2e-4), (8e-6, 2e-4))
-    # Whether a fit stops in a dip hangs on last digits, so the delay is held there while the others settle.
+    # Whether a fit stops in a local minimum depends on last digits, so the delay is fixed there at first.
     (settled,) = fit_many([Model(robot(), dip, quiet, fixed=frozenset({1, 2}))], data, 6)
     (taken,) = derivatives([replace(settled.model, fixed=frozenset({2}))], data)
     steep = replace(taken, jacobian=taken.jacobian * np.array([1.0, 8.0, 1.0, 1.0]))

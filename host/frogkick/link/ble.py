@@ -52,6 +52,8 @@ _DEFINITE = (
 
 @dataclass(frozen=True)
 class Heard:
+    """A robot that advertises."""
+
     name: str  # advertised name, or ""
     address: str  # its address on this computer
     signal_dbm: int  # strength of the last advertisement

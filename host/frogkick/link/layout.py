@@ -59,6 +59,8 @@ def ask_again(
 
 @dataclass(frozen=True)
 class Field:
+    """A field of a payload: name, type (a key of ``_FORMATS``), unit and meaning."""
+
     name: str
     type: str
     unit: str
@@ -157,6 +159,7 @@ class Layout:
         return _name_of(self.status, value)
 
     def fault_name(self, value: int) -> str:
+        """Name of a fault; its number where this host does not know it."""
         return _name_of(self.fault, value)
 
 
@@ -228,6 +231,8 @@ class Rule:
 
 @dataclass(frozen=True)
 class Supervisor:
+    """What each event does in each of the robot's states."""
+
     actions: dict[str, str]  # name -> description, in the order of their numbers
     docs: dict[str, str]  # event -> description: commands, then others, in the order of their numbers
     rules: dict[tuple[str, str], Rule]  # cell of each event and state

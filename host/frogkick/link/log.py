@@ -37,6 +37,8 @@ class Stretch:
 
 @dataclass(frozen=True)
 class ChipLog:
+    """What was fetched of a robot's log."""
+
     # in order; the records between two of them were overwritten before they were fetched
     stretches: tuple[Stretch, ...] = ()
     lost: int = 0  # number of records that the robot has overwritten since its log began
@@ -50,11 +52,14 @@ class ChipLog:
         return (last.offset + len(last.content)) % _SPAN
 
     def records(self) -> list[list[Record]]:
+        """The records of each stretch."""
         return [records_of(stretch) for stretch in self.stretches]
 
 
 @dataclass(frozen=True)
 class Record:
+    """A record of the log."""
+
     offset: int  # of its first byte
     name: str  # in ``frames.toml``, or DAMAGED
     time_us: int  # the robot's clock

@@ -71,6 +71,7 @@ class PtyLine:
 
     @property
     def is_plugged_in(self) -> bool:
+        """Whether the port exists."""
         return self._ends is not None
 
     def plug_in(self) -> None:

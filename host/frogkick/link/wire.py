@@ -101,11 +101,13 @@ class Wire(ABC):
     # For the thread of the wire
 
     def put(self, data: bytes) -> None:
+        """Hand over bytes that have arrived."""
         with self._lock:
             self._arrived.append((time.monotonic(), data))
         self._bell.ring()
 
     def connected(self) -> None:
+        """Report that the wire is up."""
         with self._lock:
             self.is_up, self.connections = True, self.connections + 1
         self._bell.ring()

@@ -224,6 +224,7 @@ class NativeRobot(SimulatedPort):
 
     @property
     def time_s(self) -> float:
+        """The port's time, which continues through resets."""
         return self._now_us * 1e-6
 
     def cut_power(self, off_s: float, idle_s: float = 0.0) -> None:

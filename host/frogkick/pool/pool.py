@@ -145,6 +145,7 @@ class Pool:
 
     @property
     def time_s(self) -> float:
+        """Time of the simulation, from 0 at the start."""
         return float(self._batch.time_s[0])
 
     @property

@@ -41,6 +41,7 @@ class Scheduler:
         return len(self._at) - 1
 
     def clear(self) -> None:
+        """Remove all sources and their events."""
         self._at, self._callbacks, self.next_cycle = [], [], NEVER
 
     def at(self, source: int, cycle: int) -> None:
@@ -172,10 +173,12 @@ class Peripheral:
         raise self.refuse(name, 1, "the model does not know this task")
 
     def allow(self, name: str, value: int, known: Container[int]) -> None:
+        """ChipError unless a value of a register is modelled."""
         if value not in known:
             raise self.refuse(name, value, "the model does not know this value")
 
     def refuse(self, name: str, value: int, why: str) -> ChipError:
+        """The error of a write that the chip forbids or the model lacks."""
         return self.system.fail(f"write of 0x{value:x} to {self.name}.{name}: {why}")
 
     def raise_event(self, name: str) -> None:

@@ -158,6 +158,7 @@ class VirtualChip:
 
     @property
     def stack_reserved_bytes(self) -> int:
+        """RAM that the linker reserves for the stack."""
         return self.symbol("fk_stack_top") - self.symbol("fk_stack_bottom")
 
     @property
@@ -167,6 +168,7 @@ class VirtualChip:
 
     @property
     def instructions(self) -> int:
+        """Number of executed instructions since power-on."""
         return int(self._state.instructions)
 
     @property
@@ -202,6 +204,7 @@ class VirtualChip:
         return top - bottom - free
 
     def symbol(self, name: str) -> int:
+        """Address of a symbol of the firmware; a function has its Thumb bit."""
         if name in self._image.symbols:
             return self._image.symbols[name]
         raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
@@ -267,6 +270,7 @@ class VirtualChip:
         return int(result), -(-cycles // PARTS)
 
     def profile(self) -> Profile:
+        """Begin to count the cycles of each function; return the counts, which grow."""
         profile = Profile(self._image)
         self._state.profile = ctypes.cast(profile.parts, ctypes.c_void_p)
         self._state.visits = ctypes.cast(profile.visits, ctypes.c_void_p)
@@ -388,6 +392,7 @@ class VirtualChip:
         return False
 
     def fail(self, what: str) -> ChipError:
+        """An error with the program counter, its function and the time."""
         pc = self._state.address
         return ChipError(f"{what} (pc 0x{pc:08x} in {self._image.function_at(pc)}, {self.time_us:.3f} us)")
 

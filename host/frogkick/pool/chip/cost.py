@@ -85,6 +85,7 @@ _CORE: Final = frozenset(range(arm.ARM_REG_R0, arm.ARM_REG_R12 + 1)) | {arm.ARM_
 
 
 def disassembler() -> Any:
+    """A disassembler of Thumb code of the Cortex-M, with details."""
     reader = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
     reader.detail = True
     return reader

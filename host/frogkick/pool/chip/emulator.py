@@ -57,6 +57,7 @@ class HookState(ctypes.Structure):
 
 @cache
 def load_hook() -> ctypes.CDLL:
+    """Load the compiled hook.c, compiling it first if needed."""
     digest = hashlib.sha256(" ".join((*_FLAGS, sys.platform)).encode() + _SOURCE.read_bytes()).hexdigest()
     library = cache_folder("chip") / f"hook-{digest[:24]}.so"
     if not library.exists():

@@ -29,6 +29,8 @@ BLOCK_WRITES_MAX: Final = 181
 
 
 class Flash:
+    """The 512 KB of flash of a chip."""
+
     def __init__(self, fail: Callable[[str], ChipError]) -> None:
         self._fail = fail
         self._uc: Any = None
@@ -53,6 +55,7 @@ class Flash:
         uc.ctl_flush_tb()  # code translated before a hook was added would not call it
 
     def configure(self, mode: int) -> None:
+        """Allow reading alone, writing or erasing: READ_ONLY, WRITE, ERASE."""
         self.mode = mode
         if self._uc is not None:
             access = unicorn.UC_PROT_ALL if mode == WRITE else unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC
@@ -80,12 +83,14 @@ class Flash:
         self._state.time += WRITE_CYCLES * PARTS
 
     def require_erasable(self, address: int) -> None:
+        """ChipError unless a page begins at an address and erasing is enabled."""
         if self.mode != ERASE:
             raise self._fail(f"erase of the page at 0x{address:08x}: NVMC.CONFIG does not enable erasing")
         if address % PAGE_BYTES or not 0 <= address < FLASH_BYTES:
             raise self._fail(f"erase at 0x{address:08x}: no page of flash begins there")
 
     def erase(self, address: int) -> None:
+        """Erase the page at an address; the core waits ERASE_CYCLES."""
         self._uc.mem_write(address, b"\xff" * PAGE_BYTES)
         for block in range(address // BLOCK_BYTES, (address + PAGE_BYTES) // BLOCK_BYTES):
             self._block_writes[block] = 0
@@ -93,6 +98,7 @@ class Flash:
         self._state.time += ERASE_CYCLES * PARTS
 
     def word(self, address: int) -> int:
+        """The 32-bit word at an address."""
         return int.from_bytes(self._uc.mem_read(address, 4), "little")
 
     def content(self) -> bytes:

@@ -42,6 +42,7 @@ class FirmwareImage:
 
     @cached_property
     def symbols(self) -> dict[str, int]:
+        """Address of each symbol by name."""
         return {each.name: each.address for each in self.table}
 
     @cached_property
@@ -57,6 +58,7 @@ class FirmwareImage:
 
     @property
     def stack_pointer(self) -> int:
+        """Stack pointer at reset: first vector."""
         return int.from_bytes(self.flash[0:4], "little")
 
     @property
@@ -65,6 +67,7 @@ class FirmwareImage:
         return int.from_bytes(self.flash[4:8], "little") & ~1
 
     def function_at(self, address: int) -> str:
+        """Name of the function that begins at an address or last before it; "?" without one."""
         place = bisect.bisect_right(self.functions, (address, "\U0010ffff")) - 1
         return self.functions[place][1] if place >= 0 else "?"
 

@@ -179,6 +179,7 @@ class Power(Peripheral):
         self._is_below = self.constant_latency = False
 
     def set_supply(self, supply_v: float) -> None:
+        """Change the supply, V; the comparator sees it at once."""
         self.supply_v = supply_v
         self._compare()
 
@@ -292,6 +293,7 @@ class Clock(Peripheral):
         self.raise_event("EVENTS_HFCLKSTARTED")
 
     def break_down(self) -> None:
+        """Stop the crystal for good."""
         self._power.crystal_works = False
         self.system.scheduler.at(self._started, NEVER)
         self._switch(False)

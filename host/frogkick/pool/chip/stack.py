@@ -67,6 +67,7 @@ class StackAnalysis:
         self._frames: dict[int, _Frame] = {}
 
     def bound(self, function: str = "fk_reset") -> StackBound:
+        """The bound of the stack of a function and all that it calls."""
         entry = self._entry(function)
         known: dict[int, _Deepest] = {}
         total, chain = self._deepest(entry, known, [])
@@ -83,6 +84,7 @@ class StackAnalysis:
 
     @property
     def functions(self) -> list[str]:
+        """Names of all functions."""
         return sorted(self._names.values())
 
     def _entry(self, function: str) -> int:

@@ -56,6 +56,7 @@ class Evidence:
 
     @property
     def start_s(self) -> float:
+        """Time of the first row that has the first label that fires, s."""
         return float(self.latest[0])
 
 

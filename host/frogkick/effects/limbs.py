@@ -65,7 +65,7 @@ class LimbWear(Effect):
 
 
 class WeakenedLimb(Effect):
-    """One limb straightens by a share of its stroke, down to none: for wear curves, in no robot's file."""
+    """One limb straightens by a share of its stroke, down to none: for simulations, in no robot's file."""
 
     def __init__(self, limb: int, gain: float) -> None:
         """``limb`` is an index; ``gain`` is not limited as that of ``LimbWear`` is."""

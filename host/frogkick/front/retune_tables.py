@@ -15,6 +15,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError, compose, wrap_angle
 from frogkick.core.progress import Stage
 from frogkick.effects import Effect, Fix, World, effects_of
+from frogkick.effects.base import fix_by
 from frogkick.front.places import built_firmware
 from frogkick.identification.horizons import HORIZONS, Horizon
 from frogkick.identification.outcome import Outcome
@@ -38,8 +39,6 @@ LOOP_PATHS, LOOP_SEEDS, LOOP_LIMIT_S = tuple(SHAPES), 2, 90.0
 """The paths on which tables are tested in closed loop, the runs along each, and their time limit."""
 
 PERIOD_OFF = 0.1  # largest relative difference of a run's period from the table's
-
-_RNG = np.random.default_rng(0)
 
 
 @dataclass(frozen=True)
@@ -170,9 +169,10 @@ def _gaps(
     rows = np.flatnonzero(known)
     if not len(rows):
         return gap
+    rng = np.random.default_rng(0)  # anew for each table, so that all have the same starts
     pose = np.array(
         [
-            _shown(effects, float(at_s), start)
+            _shown(effects, rng, float(at_s), start)
             for at_s, start in zip(swim.start_s[rows], rollout.start[rows, :3], strict=True)
         ]
     )
@@ -187,11 +187,13 @@ def _gaps(
     return gap
 
 
-def _shown(effects: Sequence[Effect], time_s: float, pose: Float64) -> tuple[float, float, float]:
+def _shown(
+    effects: Sequence[Effect], rng: np.random.Generator, time_s: float, pose: Float64
+) -> tuple[float, float, float]:
     """A pose as the camera measures it, with the effects on its fixes."""
     seen = Fix(time_s, 0.0, *(float(value) for value in pose))
     for effect in effects:
-        seen = effect.fix(seen, _RNG) or seen
+        seen = fix_by(effect, seen, rng) or seen
     return seen.x_m, seen.y_m, seen.heading_rad
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from frogkick.core.arrays import Bool, Float64, Int64
+from frogkick.effects.limbs import WeakenedLimb
 from frogkick.identification.bootstrap import drawn_periods
 from frogkick.identification.calibrated import end_errors
 from frogkick.identification.fit import (
@@ -29,7 +30,7 @@ from frogkick.identification.fit import (
     rollouts_of,
 )
 from frogkick.identification.predict import Rollout
-from frogkick.identification.responses import Values, Weaker, rollouts_with
+from frogkick.identification.responses import Values, rollouts_with
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import DOF, deviance_of, log_density, scale_of
 from frogkick.identification.terms import Interval, Term, law_term
@@ -123,7 +124,7 @@ def misfires_of(base: Fitted, data: Data, changes: Float64 | None = None) -> Mis
     model, swims, replicates = base.model, data.swims, data.replicate_count
     limbs = range(len(model.robot.limbs))
     if changes is None:
-        moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
+        moved = rollouts_with(model, [[WeakenedLimb(limb, 0.0) for limb in limbs] for _ in swims], swims)
         plain = residuals_of(moved[0], data.rows)
         changes = np.stack([residuals_of(each, data.rows) - plain for each in moved[1:]], axis=2)
     changes = changes.copy()
@@ -301,7 +302,7 @@ def _ends(
 ) -> tuple[list[Float64], list[Float64], list[Bool]]:
     """Residuals (m, 3) of each run at the ends of periods, their change (m, 3, k) if a limb does nothing, and
     (m, k) whether the limb was commanded to fire."""
-    moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
+    moved = rollouts_with(model, [[WeakenedLimb(limb, 0.0) for limb in limbs] for _ in swims], swims)
     ends = [[end_errors(rollout, swim) for rollout, swim in zip(each, swims, strict=True)] for each in moved]
     changes = [
         np.nan_to_num(np.stack([each[run] - ends[0][run] for each in ends[1:]], axis=2))

@@ -20,6 +20,7 @@ from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.poses import body_from_world
 from frogkick.effects import Body, Effect, History, Stroke
 from frogkick.effects.law import LONG_AGO_S, Law
+from frogkick.effects.limbs import WeakenedLimb
 from frogkick.identification.batching import roll_out
 from frogkick.identification.filter import initial_rate_std
 from frogkick.identification.fit import Fitted, Model, coarsened, residuals_of
@@ -66,21 +67,19 @@ class _Stream(Effect):
         return self._flow if self._on(time_s) else (0.0, 0.0)
 
 
-class Weaker(Effect):
-    """A limb that straightens less, in every stroke or, if a run is given, in every LAGS-th period of it.
+class _Weaker(WeakenedLimb):
+    """A limb that straightens less in every LAGS-th period of a run.
 
     A loss is simulated and not a gain, because limbs wear; the response to more would differ.
     """
 
-    def __init__(self, limb: int, loss: float, swim: Segments | None = None, turn: int = 0) -> None:
-        self._limb, self._loss, self._turn = limb, loss, turn
-        self._starts = None if swim is None else np.asarray(swim.start_s)
+    def __init__(self, swim: Segments, limb: int, loss: float, turn: int) -> None:
+        super().__init__(limb, 1.0 - loss)
+        self._starts, self._turn = np.asarray(swim.start_s), turn
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        mine = self._starts is None or _period(self._starts, stroke.time_s) % LAGS == self._turn
-        if stroke.index == self._limb and mine:
-            stroke.gain *= 1.0 - self._loss
-        return stroke
+        mine = _period(self._starts, stroke.time_s) % LAGS == self._turn
+        return super().stroke(stroke, history, rng) if mine else stroke
 
 
 def _period(starts: Float64, time_s: float) -> int:
@@ -207,7 +206,7 @@ def responses_of(nominal: Fitted, data: Data) -> Responses:
         flow = [FLOW_MPS * (axis == k) for k in range(2)]
         kinds.append((FLOW_MPS, partial(_Stream, third=third, flow=flow)))
     for turn, limb, loss in product(range(LAGS), range(count), LOSSES):
-        kinds.append((1.0, partial(Weaker, limb, loss, turn=turn)))
+        kinds.append((1.0, partial(_Weaker, limb=limb, loss=loss, turn=turn)))
     sizes = np.array([size for size, _ in kinds])
     effects = [[effect(swim) for _, effect in kinds] for swim in swims]
     every = [residuals_of(each, rows) for each in rollouts_with(model, effects, swims)]

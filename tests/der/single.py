@@ -25,9 +25,9 @@ def simulate_gait(
     """Simulate the robot's cyclic gait from rest, heading along world x.
 
     The leading limbs fire at the start of each cycle, the lagging limbs ``phase / frequency_hz`` later. The
-    speed is defined as the authors': forward motion of the unweighted mean of all nodes over cycles 5 to 8,
-    or over the last three of fewer cycles. The cost of transport counts Robot.pulse_energy_j for each pulse
-    of each limb, and the weight in air.
+    speed is defined as the authors': forward motion of the unweighted mean of all nodes from the end of
+    cycle 5 to that of cycle 8, or over the last three (or fewer) cycles of a shorter swim. The cost of
+    transport counts Robot.pulse_energy_j for each pulse of each limb, and the weight in air.
 
     Raises:
         InputError: a phase outside [0, 1), no cycle, or a profile outside the measured range.

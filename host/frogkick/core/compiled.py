@@ -1,7 +1,8 @@
 """Compiled functions in numba's cache on disk, and when they are compiled again.
 
 numba compiles again if a function's own file or closure changes, but not if a file that the function calls
-into changes. So only outermost functions are cached, and each encloses a hash of its package's source.
+into changes. So a cached function that calls functions of other files encloses a hash of its package's
+source.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
 
 
 run_steps, set_accelerations, set_sums = _compiled(stamp_of("frogkick.der"))
-"""The outermost compiled functions, the only ones that are cached on disk: see frogkick.core.compiled."""
+"""The outermost functions of several files, which are cached on disk: see frogkick.core.compiled."""
 
 WIDTH = 8  # lanes: processors have vectors of 8 float64; the work space of 16 lanes exceeds the cache
 MAX_HALVINGS = 8

@@ -16,7 +16,7 @@ ALL = "all"
 
 DELAYS_S = (0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12, 0.135, 0.15, 0.18, 0.22, 0.26)
 """Starting values of a delay. A delay shifts the stroke against the frame's oscillation of some 25 ms, so the
-fit has local minima; the spacing is below half of that period."""
+fit has local minima. The spacing is some half of that period, and more beyond 150 ms."""
 
 
 class GroupEffect(Effect):

@@ -251,9 +251,10 @@ def simulate_gaits(
     """Simulate cyclic gaits from rest, side by side, heading along world x.
 
     The leading limbs fire at the start of each cycle, the lagging limbs ``phase / frequency_hz`` later. The
-    speed is defined as the authors': forward motion of the unweighted mean of all nodes over cycles 5 to 8,
-    or over the last three of fewer cycles. The cost of transport counts Robot.pulse_energy_j for each pulse
-    of each limb, and the weight in air. A result's bits do not depend on the width.
+    speed is defined as the authors': forward motion of the unweighted mean of all nodes from the end of
+    cycle 5 to that of cycle 8, or over the last three (or fewer) cycles of a shorter swim. The cost of
+    transport counts Robot.pulse_energy_j for each pulse of each limb, and the weight in air.
+    A result's bits do not depend on the width.
 
     Args:
         robot: the robot, with its profiles and its groups of limbs.

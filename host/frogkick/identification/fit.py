@@ -38,8 +38,8 @@ effect has a penalty of its own, because it is the best of many candidates.
 CONFOUNDED_MARGIN = 15.0
 """Effects whose penalised deviances differ by less are confounded: the data cannot tell them apart."""
 
-REFINING_LEG_S = 0.06  # how often flows and wrenches are evaluated while effects are fitted
-WRENCH_LEG_S = 0.03  # the same for effects in the model that act on the body, which lags by half of it
+REFINING_LEG_S = 0.06  # time between evaluations of flows and wrenches while effects are fitted
+WRENCH_LEG_S = 0.03  # the same while a model with wrenches is refined: they lag by half of it
 
 
 @dataclass(frozen=True, eq=False)

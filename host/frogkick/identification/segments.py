@@ -23,7 +23,7 @@ ACTUATION_S = 0.3  # a limb pushes hardest within this time after its pulse star
 
 _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
 """Fixes from this time before a period's end to this time after it determine the pose there: the robot
-glides."""
+glides. If they are too few, those from twice as long before count as well."""
 
 SPEED_MOST_MPS = 1.0
 """The median speed from fix to fix is lower in any pool; above it positions must be in another unit."""

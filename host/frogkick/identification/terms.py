@@ -128,7 +128,9 @@ class FoundEffect:
 
 
 def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
-    """Every built-in effect that fits a robot, with each of its options, and those of a user's file.
+    """The built-in effects that are searched for one by one, with each of their options, and a user's own.
+
+    Effects that are fitted jointly only (``Effect.joint_only``) are not among them.
 
     Raises:
         InputError: the user's file has no effect, or one that cannot be made from its parameters.

@@ -83,7 +83,7 @@ class CentreMass(Effect):
     """A body whose mass is not on its outline: a filled frame turns more easily than a hoop."""
 
     name = "centre_mass"
-    about = "a share of the frame's mass in motion sits at its centre, where it resists no turn"
+    about = "a share of the frame's mass and added mass sits at its centre, where it resists no turn"
     shown_by = "how far single strokes of one side turn the robot, against how far they push it"
     share = parameter("1", 0.0, 0.95, 0.0, "of the mass that the model has on the outline")
 
@@ -99,7 +99,7 @@ class OffCentreMass(Effect):
     """
 
     name = "off_centre_mass"
-    about = "the centre of mass, with the water taken along, lies beside where the model has it"
+    about = "the centre of mass, added mass included, lies beside where the model has it"
     shown_by = "turns of strokes that push straight, and the opposite turn while the robot glides"
     forward_m = parameter("m", -0.015, 0.015, 0.0, "centre of mass in front of where the model has it")
     left_m = parameter("m", -0.015, 0.015, 0.0, "centre of mass left of it")
@@ -121,10 +121,10 @@ class Hull(Effect):
     """A body with height and corners has more added mass, and its limbs push more, than in a flat model."""
 
     name = "hull"
-    about = "mass with the water taken along and where it sits, drag of frame and limbs, times factors"
+    about = "the frame's mass with added mass and where it sits, and drag of frame and limbs, times factors"
     shown_by = "surge, turn and glide of all strokes together"
     joint_only = True
-    mass = parameter("1", 0.2, 6.0, 1.0, "factor on the frame's mass in motion")
+    mass = parameter("1", 0.2, 6.0, 1.0, "factor on the frame's mass, added mass included")
     centre_share = parameter("1", 0.0, 0.97, 0.0, "share of that mass at the centre")
     frame_drag = parameter("1", 0.05, 4.0, 1.0, "factor on the frame's drag coefficients")
     limb_drag = parameter("1", 0.2, 12.0, 1.0, "factor on the limbs' drag coefficients")
@@ -218,9 +218,9 @@ class LimbFatigue(GroupEffect):
 class MunkMoment(Effect):
     """A body whose added mass differs forward and sideways turns while it drifts, which slows it.
 
-    With forward speed u, speed to the left v and turn rate r, and a mass in motion that is larger forward by
-    g, Kirchhoff's equations have the torque g u v and the force -g v r forward. Together they do no work. The
-    inertia against acceleration sideways stays that of the rods.
+    With forward speed u, speed to the left v, turn rate r, and a mass (added mass included) that is larger
+    forward by g, Kirchhoff's equations have the torque g u v and the force -g v r forward. Together they do
+    no work. The inertia against acceleration sideways stays that of the rods.
 
     Source: Munk 1924, NACA report 184; Lamb 1932, article 124.
     """
@@ -231,7 +231,7 @@ class MunkMoment(Effect):
     )
     shown_by = "turns while gliding sideways, and speed that is lost in turns, whatever the limbs do"
     joint_only = True
-    mass_gap_kg = parameter("kg", -0.4, 0.4, 0.0, "mass in motion forward less that to the side")
+    mass_gap_kg = parameter("kg", -0.4, 0.4, 0.0, "mass forward less that to the side, added mass included")
 
     def wrench(self, time_s: float, body: Body) -> Sequence[float]:
         forward, left, turn = body.velocity_body

@@ -43,7 +43,9 @@ class LimbWear(Effect):
     """A worn actuator: it straightens less or later, or returns more slowly."""
 
     name = "limb_wear"
-    about = "a limb, or all, straighten by a share of the measured stroke, later, and curl back more slowly"
+    about = (
+        "one limb or all limbs straighten by a share of the measured stroke, later, and return more slowly"
+    )
     shown_by = "forward and turn of the actions that fire the limb, against those that do not"
     gain = parameter("1", 0.3, 1.5, 1.0, "share of the measured stroke")
     delay_s = parameter("s", 0.0, 0.3, 0.0, "from the pulse to the stroke", step=0.005, grid=DELAYS_S)

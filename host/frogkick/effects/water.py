@@ -108,10 +108,10 @@ class MassScale(Effect):
     """A body or limbs with more mass, or more added mass, than in the model."""
 
     name = "mass_scale"
-    about = "mass of the frame, and of the limbs, with the water that each takes along, times a factor each"
+    about = "mass of the frame, and of the limbs, added mass included, times a factor each"
     shown_by = "surge and turn of single strokes together with how long the robot glides"
-    frame = parameter("1", 0.2, 5.0, 1.0, "factor on the frame's mass in motion")
-    limbs = parameter("1", 0.2, 5.0, 1.0, "factor on the limbs' mass in motion")
+    frame = parameter("1", 0.2, 5.0, 1.0, "factor on the frame's mass, added mass included")
+    limbs = parameter("1", 0.2, 5.0, 1.0, "factor on the limbs' mass, added mass included")
 
     def robot(self, robot: Robot) -> Robot:
         return scaled(robot, times_mass, self.frame, self.limbs)

@@ -185,15 +185,19 @@ def test_the_robots_own_planner_is_what_its_toml_says() -> None:
 
 
 def test_a_decision_names_its_fix_also_after_their_numbers_began_anew() -> None:
-    """Numbers have 16 bits, which last 73 minutes at 15 Hz. Of a fix that came twice it is the first row."""
+    """Numbers have 16 bits, which last 73 minutes at 15 Hz. Of a fix that came twice it is the first row.
+
+    Pictures without a fix have a number too, and the robot's clock may drift by 3 s in that time.
+    """
     recording = rig.recording(shape("line"), RunOptions(PlanConfig(depth=1)))
-    numbers = [*range(100), 99, *range(100, 70_000)]
+    numbers = [*range(100), 99, *range(100, 1000), *range(1000, 140_000, 2)]
     recording.fixes += [Fix(n / 15, 0.08, 0.0, 0.0, 0.0, sequence=n & 0xFFFF) for n in numbers]
     recording.sent_s += [fix.arrival_s for fix in recording.fixes]
-    rows = [3, 99, 40_000, 65_700, 70_000]
-    recording.decisions += [
-        Decision(0, 0, round(1e6 * recording.sent_s[row]) + 2000, recording.fixes[row].sequence, fixes=3)
-        for row in rows
-    ]
-    assert recording.decision_columns().fix_sequence.tolist() == rows
+    rows = [3, 99, 30_000, 40_000, 66_500, 70_400]
+    for drift in (0.0, -8e-4, 8e-4):
+        recording.decisions = [
+            Decision(0, 0, round(1e6 * (1.0 + drift) * at_s) + 2000, fix.sequence, fixes=3)
+            for at_s, fix in ((recording.sent_s[row], recording.fixes[row]) for row in rows)
+        ]
+        assert recording.decision_columns().fix_sequence.tolist() == rows, drift
     assert recording.decision_columns(3).fix_sequence.tolist() == rows[3:], "of a log in progress"

@@ -44,11 +44,9 @@ from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 CANNOT_FOLLOW = "cannot follow"
 """The beginning of the reason why a run with a lost limb ended."""
 
-_HALF_TURN = 1 << 15
-"""Half of the numbers that fixes have: two rows with one number that are less apart are one fix, twice."""
-
-CLOCKS_APART_S = 1.0
-"""The clocks of robot and session agree better than this."""
+ANEW_S = 60.0
+"""Two fixes with one number are one fix that came twice if they are less apart: the 65,536 numbers last
+longer, even at 1000 Hz. The clocks of robot and session agree better than this, too."""
 
 UNKNOWN = (-1, -1)
 """Values of ``heard_*`` for a fix that was not received, and of ``rested_*`` for a stroke that was fired."""
@@ -162,12 +160,12 @@ class Recording:
         Numbers of fixes begin anew after 65,536, so one of them stands for the last fix that had it.
         """
         found, rows = [], dict[int, int]()
-        row = max(0, bisect_left(self.sent_s, time_s[0]) - _HALF_TURN) if time_s else 0
+        row = bisect_left(self.sent_s, time_s[0] - ANEW_S) if time_s else 0
         for decision, at_s in zip(decisions, time_s, strict=True):
-            while row < len(self.fixes) and self.sent_s[row] <= at_s + CLOCKS_APART_S:
-                number = self.fixes[row].sequence
-                if row - rows.get(number, -_HALF_TURN) >= _HALF_TURN:
-                    rows[number] = row
+            while row < len(self.fixes) and self.sent_s[row] <= at_s + ANEW_S:
+                before = rows.setdefault(self.fixes[row].sequence, row)
+                if self.sent_s[row] - self.sent_s[before] > ANEW_S:
+                    rows[self.fixes[row].sequence] = row
                 row += 1
             found.append(rows.get(decision.fix_sequence, -1) if decision.fixes else -1)
         return found

@@ -217,9 +217,6 @@ class Acting:
         if not (self._flows or self._wrenches):
             return STILL
         gradient = ((0.0, 0.0), (0.0, 0.0))
-        if not self._flows:
-            force_x, force_y, turn = self._push(time_s, batch, pose, velocity)
-            return Water((0.0, 0.0), gradient, (force_x, force_y), turn)
         centre = np.asarray(pose[:2], dtype=np.float64)
         flow, push = self._flow(time_s, centre), self._push(time_s, batch, pose, velocity)
         if not self._uniform:

@@ -157,22 +157,21 @@ class Track:
         self.wear.restart(codes[: self._original.limbs])
         self._use(self.wear.tables)
 
-    def forget(self) -> None:
-        """Forget all states; keep the process noise and what the limbs have lost."""
-        self.instants = []
-
     def begin(self, at_us: int) -> None:
         """Start at rest with an unknown pose."""
         self._begin(at_us, self.resting_action, coasted=True)
 
     def coast(self, at_us: int) -> None:
-        """Predict periods of rest until a time; after COASTS_MAX of them forget all states."""
+        """Predict periods of rest until a time; after COASTS_MAX of them forget all states.
+
+        The process noise and what the limbs have lost are kept.
+        """
         for _ in range(COASTS_MAX):
             if not self.instants or at_us <= self.instants[-1].time_us + COAST_US:
                 return
             self._open(self.resting_action, coasted=True)
         if at_us > self.instants[-1].time_us + COAST_US:
-            self.forget()
+            self.instants = []
 
     def act(self, at_us: int, action: int) -> None:
         """Start an action at a time, which becomes the time of the newest instant."""

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from frogkick.core.arrays import Float32, Float64, Int64
+from frogkick.core.arrays import Float32, Int64
 from frogkick.core.errors import InputError
 from frogkick.planner import floats
 from frogkick.tables.image import Tables
@@ -86,11 +86,6 @@ class WearFilter:
         self._information = lower + np.tril(lower, -1).T
         self._vector, self.current = vector, current
         self.codes = np.array(codes, dtype=np.int64)
-
-    @property
-    def lost(self) -> Float64:
-        """(l,) share of its contribution that each limb has lost, 0 to 1."""
-        return np.asarray(self.codes / LOST_MAX)
 
     @property
     def tables(self) -> Tables:

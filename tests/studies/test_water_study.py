@@ -8,19 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.conftest import from_ci
-from tests.identification.made import robot, robot_option
+from tests.identification.made import WORN, make_swim, robot, robot_option, term
 from tests.validation.paper_data import write_swim
 from typer.testing import CliRunner
 
 from frogkick.cli.app import app
+from frogkick.core.poses import PredictionError
 from frogkick.effects import rods_of
 from frogkick.effects.body import frame_mass_kg
 from frogkick.effects.swims import Gait
-from frogkick.identification.calibrated import calibrated_starts
+from frogkick.identification.calibrated import NOISES, GaussNewton, calibrated_starts, end_residuals
+from frogkick.identification.fit import Model, rollouts_of
 from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, swim_gaits
 from frogkick_studies.steady import with_effects
-from frogkick_studies.water import FITTED, HEIGHT_M, INNER_M, hypotheses, ring, started
+from frogkick_studies.water import DAMPING, FITTED, HEIGHT_M, INNER_M, Joint, hypotheses, ring, started
 
 ROBOT = load_robot("frog2022")
 GAITS = [Gait(egain, hz, 0.5) for egain in (10.0, 30.0) for hz in (0.7, 0.8, 1.1)]
@@ -99,3 +101,25 @@ def test_swims_of_a_plated_robot_in_other_drag_are_told(tmp_path: Path) -> None:
         assert best["gain_m2_per_s2"][way][1] > 0.0
     assert all(row["runs"] is None and row["joint"] is None for row in rows.values())
     assert (tmp_path / "w.png").stat().st_size > 5000
+
+
+def test_a_run_is_held_out_by_a_step_from_the_others_alone() -> None:
+    swims = [make_swim([WORN], seed, 6) for seed in (1, 2, 3)]
+    model = Model(robot(), (term("limb_wear rear_left", 0.9),), NOISES[0])
+    fit = GaussNewton(model, swims)
+    at, residuals, derivatives, _ = fit.linearised()
+    joint = Joint.of(fit, robot(), at, residuals, derivatives)
+
+    alone = []
+    for left, swim in enumerate(swims):
+        others = GaussNewton(model, [each for k, each in enumerate(swims) if k != left])
+        there, base, columns, _ = others.linearised()
+        step = others.stepped(there, np.concatenate(base), np.concatenate(columns), DAMPING)
+        alone.append(end_residuals(rollouts_of([step], [swim])[0], [swim]))
+    expected = PredictionError.of(np.concatenate(alone))
+    assert joint.left_out.position_rmse_m == pytest.approx(expected.position_rmse_m, rel=1e-9)
+    assert joint.left_out.heading_rmse_rad == pytest.approx(expected.heading_rmse_rad, rel=1e-9)
+    assert joint.fitted == PredictionError.of(np.concatenate(residuals))
+    assert joint.values == {"limb_wear rear_left gain": 0.9}
+    told = joint.as_json()
+    assert told["left_out"] == joint.left_out.as_json() and told["values"] == joint.values

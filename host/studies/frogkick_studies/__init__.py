@@ -12,15 +12,11 @@ from typing import Any
 
 
 class StudyResult(ABC):
-    """The result of a study; if it has a figure, ``plot`` returns it.
-
-    Attributes:
-        passed: whether all requirements of the study are met.
-    """
+    """The result of a study; if it has a figure, ``plot`` returns it."""
 
     @property
     def passed(self) -> bool:
-        """Whether all requirements are met; true if there are none."""
+        """Whether all requirements of the study are met; true if it has none."""
         return True
 
     @abstractmethod

@@ -108,13 +108,15 @@ def _no_failures(failures: Iterable[object]) -> None:
 
 
 def _gaits(robot: Robot) -> Sequence[Gait]:
-    """Return each measured profile at four phases, sorted by duration."""
+    """Return each measured profile at four phases, lowest frequency first."""
     profiles = sorted(robot.profiles, key=lambda profile: profile.frequency_hz)
     return [Gait(p.egain_percent, p.frequency_hz, phase) for p in profiles for phase in PHASES]
 
 
 @dataclass(frozen=True, eq=False)
 class ConvergenceStudy(StudyResult):
+    """The curves of ``convergence``: strokes and gaits."""
+
     curves: Sequence[Curve]
 
     @property

@@ -126,7 +126,12 @@ class Split:
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """All splits of measured swims, and the nominal model on the (training) folder."""
+    """All splits of measured swims.
+
+    Attributes:
+        validation: the nominal model on the (training) folder.
+        noise: of measured speeds, in the folder that is tested on.
+    """
 
     validation: Validation
     noise: SpeedNoise

@@ -145,7 +145,7 @@ def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float
 
 def _places(path: Path) -> Float64:
     """Return (k, 2) points of the path's polyline at equal steps, m."""
-    arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+    arc_m = path.along_m
     at_m = np.linspace(0.0, arc_m[-1], max(2, round(float(arc_m[-1]) / _FINE_M) + 1))
     return np.stack([np.interp(at_m, arc_m, path.points_m[:, axis]) for axis in (0, 1)], axis=1)
 

@@ -87,6 +87,9 @@ def held_out(
     Args:
         runs: logs, or recorded runs (.csv).
         effects: a file of the user's own effects, which are tried as well.
+
+    Raises:
+        InputError: fewer than LEAST_RUNS, the same run twice, or one whose strokes have no reliable times.
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(

@@ -46,7 +46,11 @@ class Estimate:
 
 
 class Speeds:
-    """Speeds of swims; columns are both factors on the drag, two numbers of an alloy, one of a build."""
+    """Speeds of swims over a vector of unknowns, in widths of their priors.
+
+    The vector holds the shared numbers of the water, two numbers of each alloy (AMPLITUDE, TIME_SCALE), and
+    the offset of each build.
+    """
 
     def __init__(
         self,
@@ -164,6 +168,9 @@ class Speeds:
 
         Amplitude and time scale of an unknown alloy change speeds by curves: their means are taken over three
         points of each (Gauss and Hermite). The rest is linear.
+
+        Args:
+            unknown: whether no swim of the alloys is known.
         """
         at, reach = estimate.at, math.sqrt(3.0)
         (base,) = self.of([at])

@@ -103,6 +103,8 @@ def _restarted(robot: Robot, library: Library) -> Library:
 
 @dataclass(frozen=True, eq=False)
 class HistoryStudy(StudyResult):
+    """Errors of tables with and without limb use, for each of VARIANTS, and the seed of the states."""
+
     results: Sequence[HistoryResult]
     seed: int
 

@@ -79,10 +79,8 @@ class Lines:
         first = json.dumps(head)
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
         kept = [line for line in lines[1:] if _read_line(line)] if lines[:1] == [first] else []
-        if lines != [
-            first,
-            *kept,
-        ]:  # results of other code, or a line that was cut off, after which no line may follow
+        # Results of other code, or a line that was cut off, after which no line may follow.
+        if lines != [first, *kept]:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_text(file, "".join(line + "\n" for line in (first, *kept)))
         self.values = [_read_line(line) for line in kept]

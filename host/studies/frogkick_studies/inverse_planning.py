@@ -27,9 +27,8 @@ DECISIONS_MIN = 60
 """Fewer choices cannot determine some thirty numbers."""
 
 _TRIES = 3000
-_TEMPERATURE = np.float32(
-    3.0
-)  # scale of the softmax, in cost: a few mm or degrees of error in the planner's pose
+_TEMPERATURE = np.float32(3.0)
+"""Scale of the softmax, in cost: a few mm or degrees of error in the planner's pose."""
 _SLIP = 0.1  # share of random choices
 _SIZES = (0.05, 0.2)  # relative size of a random step of the search
 _MOVED = 0.3  # share of the numbers that a step changes

@@ -155,11 +155,9 @@ def _split_row(split: Split) -> dict[str, Any]:
 
 def _errors(rows: Sequence[Predicted]) -> dict[str, Any]:
     nominal, effects = rmse_by_group(rows, nominal=True), rmse_by_group(rows)
-    mean = [row.error_mps for row in rows if math.isfinite(row.error_mps)]
     swum = [row for row in rows if math.isfinite(row.error_mps)]
-    gain = gain_of(
-        np.array([row.experiment.error_mps for row in swum]), np.array([row.error_mps for row in swum])
-    )
+    errors = [row.error_mps for row in swum]
+    gain = gain_of(np.array([row.experiment.error_mps for row in swum]), np.array(errors))
     return {
         "swims": len(rows),
         "failed": sum(not math.isfinite(row.speed_mps) for row in rows),
@@ -167,7 +165,7 @@ def _errors(rows: Sequence[Predicted]) -> dict[str, Any]:
         "rmse_mps": effects["all"],
         "mse_gain_m2_per_s2": {"value": gain[0], "interval": list(gain[1:])},
         "nominal_mean_error_mps": sum(row.experiment.error_mps for row in rows) / max(len(rows), 1),
-        "mean_error_mps": sum(mean) / len(mean) if mean else math.nan,
+        "mean_error_mps": sum(errors) / len(errors) if errors else math.nan,
         "by_group": {
             group: {"nominal_rmse_mps": nominal[group], "rmse_mps": effects.get(group, math.nan)}
             for group in nominal

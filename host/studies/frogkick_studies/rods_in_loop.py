@@ -42,9 +42,8 @@ SETTLE_S = 1.0
 """Time of fixes before the first decision, in which the estimator finds the robot at rest."""
 
 TIME = "time limit"
-_START = np.array(
-    [0.005, 0.005, np.deg2rad(5.0)]
-)  # spread of the initial pose around the path's start: m, m, rad
+_START = np.array([0.005, 0.005, np.deg2rad(5.0)])
+"""Spread of the initial pose around the path's start: m, m, rad."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +61,14 @@ class Run:
     """One run.
 
     Attributes:
+        source: the planner's model, one of SOURCES.
+        depth: its search depth.
         mean_distance_m: mean distance of the true poses to the path, from the first decision on.
         progress_mps: progress along it, from the first decision to the end of the run.
         ended: reason of its end, a value of ``End`` or TIME.
         planned: (n, 3) forward, left (m), turn (rad): the motion that the planner predicted from the
             estimated state minus the motion that followed; a row for each decision.
-        told: (n, 3) the same, predicted from the true state.
+        told: (n, 3) the same, predicted from the true state: without the estimator's error.
     """
 
     path: str
@@ -207,10 +208,9 @@ class _Lane:
 
     def progress_mps(self) -> float:
         """Return the progress along the path, by the place that the planner carries along."""
-        points = self._path.points_m
-        arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        reached = len(points) - 1 if self.ended == End.COMPLETED.value else float(self._follow.along_points)
-        return float(np.interp(reached, np.arange(len(points)), arc_m)) / (self.end_s - SETTLE_S)
+        arc_m = self._path.along_m
+        reached = len(arc_m) - 1 if self.ended == End.COMPLETED.value else float(self._follow.along_points)
+        return float(np.interp(reached, np.arange(len(arc_m)), arc_m)) / (self.end_s - SETTLE_S)
 
 
 def _run(ready: _Ready, task: Task) -> list[Run]:
@@ -298,8 +298,10 @@ _APART = 100  # velocity codes between the names of a tree's nodes
 def swim_a_period(
     robot: Robot, batch: Batch, acting: Acting, actions: Mapping[int, int]
 ) -> dict[int, tuple[Float64, Float64]]:
-    """Advance some lanes by one action and period; return (k,) times and (k, MOTION) rows of each, with the
-    start.
+    """Advance some lanes by one action and period.
+
+    Returns:
+        lane -> (k,) times, s, and (k, MOTION) rows, the start first.
     """
     start_s, before, until = batch.time_s.copy(), batch.motion_world(), batch.time_s.copy()
     for lane, action in actions.items():
@@ -331,11 +333,9 @@ def ask_rods(robot: Robot, batch: Batch, acting: Acting, depth: int) -> Float64:
         depth: number of actions in a sequence.
 
     Returns:
-        (lanes, nodes, a, 3) motions over a period, forward, left (m), turn (rad), body frame at its start,
-            from
-        each node of the tree: the present, then the ends of actions 0, 1, .., then the sequences (0, 0), (0,
-            1),
-        ...
+        (lanes, nodes, a, 3) motions over a period, forward, left (m), turn (rad), in the body frame at its
+        start. The nodes of the tree are the present, then the ends of actions 0, 1, ..., then those of the
+        sequences (0, 0), (0, 1), ...
     """
     lanes, actions, nodes = batch.lanes, len(robot.actions), 1
     levels: list[Float64] = []

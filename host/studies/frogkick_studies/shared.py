@@ -11,7 +11,7 @@ without it, one Gauss-Newton step away from that to all, and each group of swims
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,19 +21,16 @@ from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
-from frogkick.effects.swims import Gait
 from frogkick.identification.calibrated import (
     DAMPINGS,
     NOISES,
     GaussNewton,
     calibrated_starts,
     end_deviance,
-    end_residuals,
 )
 from frogkick.identification.fit import Model, coarsened, rollouts_of
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import bounded_step, whiten, whitener
-from frogkick.report import style
 from frogkick.robot import Robot, load_robot
 from frogkick.validation.validate import validate
 from frogkick_studies import StudyResult
@@ -49,7 +46,15 @@ from frogkick_studies.steady import (
     groupings,
     tables_of,
 )
-from frogkick_studies.water import DAMPING, Joint, quietest, recorded, started
+from frogkick_studies.water import (
+    DAMPING,
+    Joint,
+    left_out_figure,
+    quietest,
+    recorded,
+    started,
+    unmeasured,
+)
 
 STEPS = 3  # of a fit to runs, which starts from calibrated values
 
@@ -164,27 +169,11 @@ def fit_runs(
     fit.run(STEPS)
     at, residuals, derivatives, _ = fit.linearised()
     every, columns = np.concatenate(residuals), np.concatenate(derivatives)
-    ends = []
-    for left in range(len(swims)):
-        base, moved = (
-            np.concatenate([each for run, each in enumerate(of) if run != left])
-            for of in (residuals, derivatives)
-        )
-        without = replace(fit.stepped(at, base, moved, DAMPING), robot=robot)
-        (rollouts,) = rollouts_of([without], swims[left : left + 1])
-        ends.append(end_residuals(rollouts, swims[left : left + 1]))
     _, rows = whiten(whitener(every), every, columns)
     normal = rows.T @ rows + DAMPING * 0.05 * len(rows) * np.eye(len(at))
     inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     covariance = inverse[np.ix_(chosen, chosen)] / np.outer(width, width)
-    flat = [
-        (term, parameter, value)
-        for term in fit.model.terms
-        for parameter, value in zip(term.parameters, term.values, strict=True)
-    ]
-    values = {f"{term.title} {p.name}": value for term, p, value in flat if value != p.nominal}
-    found = Joint(PredictionError.of(every), PredictionError.of(np.concatenate(ends)), values)
-    return found, Estimate(at[chosen] / width, covariance)
+    return Joint.of(fit, robot, at, residuals, derivatives), Estimate(at[chosen] / width, covariance)
 
 
 @dataclass(frozen=True)
@@ -215,14 +204,7 @@ class SharedStudy(StudyResult):
                 {
                     "name": row.name,
                     "swims": {whose: asdict(fit) for whose, fit in row.swims.items()},
-                    "runs": {
-                        whose: {
-                            "fitted": fit.fitted.as_json(),
-                            "left_out": fit.left_out.as_json(),
-                            "values": dict(fit.values),
-                        }
-                        for whose, fit in row.runs.items()
-                    },
+                    "runs": {whose: fit.as_json() for whose, fit in row.runs.items()},
                     "unseen": [asdict(each) for each in row.unseen],
                 }
                 for row in self.rows
@@ -257,19 +239,11 @@ class SharedStudy(StudyResult):
         return "\n".join(lines)
 
     def plot(self) -> Figure:
-        with style.new_figure(8.0, 1.8 + 0.5 * len(self.rows)) as figure:
-            axes = figure.subplots()
-            place = np.arange(len(self.rows))[::-1]
-            ways = list(self.rows[0].swims["swims"].left_out)
-            height = 0.8 / max(len(ways), 1)
-            for k, way in enumerate(ways):
-                errors = [1e3 * row.swims["swims"].left_out[way].rmse_mps for row in self.rows]
-                axes.barh(place + 0.4 - (k + 0.5) * height, errors, 0.9 * height, label=f"by {way}")
-            axes.set_yticks(place, [row.name for row in self.rows])
-            axes.set_xlabel("speed of groups left out, error, mm/s RMS")
-            axes.set_title("One drag for all alloys and builds")
-            style.legend_below(figure, axes)
-        return figure
+        errors_mps = {
+            row.name: {way: each.rmse_mps for way, each in row.swims["swims"].left_out.items()}
+            for row in self.rows
+        }
+        return left_out_figure("One drag for all alloys and builds", errors_mps)
 
 
 def run(config: Shared) -> SharedStudy:
@@ -283,12 +257,7 @@ def run(config: Shared) -> SharedStudy:
     measured = np.array([row.reference.speed_mps for row in swims])
     series = [row.case.group for row in swims]
     ways = groupings(swims) | {"series": series}
-    known = {gait.egain_percent for gait in gaits}
-    other = [
-        Gait(profile.egain_percent, profile.frequency_hz, 0.5)
-        for profile in found.profiles.profiles
-        if profile.egain_percent not in known
-    ]
+    other = unmeasured(found.profiles, swims)
     runs = recorded(config.data_dir, robot)[1] if config.runs else []
     simulation = Simulation(robot, found.profiles.profiles, config.processes)
     rows = []

@@ -114,21 +114,16 @@ class Simulation:
     def speeds(self, effects: Sequence[Sequence[Table]], gaits: Sequence[Gait]) -> Float64:
         """Return (len(effects), len(gaits)) speeds, m/s; NaN if a simulation failed."""
         tasks: list[tuple[tuple[Table, ...], list[Gait]]] = []
-        for tables in dict.fromkeys(map(repr, effects)):
-            chosen = next(each for each in effects if repr(each) == tables)
+        for key, tables in {repr(tuple(each)): tuple(each) for each in effects}.items():
             missing = sorted(
-                {gait for gait in gaits if (tables, gait) not in self._known},
+                {gait for gait in gaits if (key, gait) not in self._known},
                 key=lambda gait: (gait.frequency_hz, gait.egain_percent, gait.phase),
             )
-            tasks += [
-                (tuple(chosen), missing[first : first + WIDTH]) for first in range(0, len(missing), WIDTH)
-            ]
+            tasks += [(tables, missing[first : first + WIDTH]) for first in range(0, len(missing), WIDTH)]
         job = Job(_start, (self.robot, self.profiles), _swim_task, _warm)
         for index, found in run_chunks(job, tasks, self.workers if len(tasks) > 1 else 1):
-            tables = repr(tasks[index][0])
-            self._known.update(
-                {(tables, gait): speed for gait, speed in zip(tasks[index][1], found, strict=True)}
-            )
+            tables, swum = tasks[index]
+            self._known |= {(repr(tables), gait): speed for gait, speed in zip(swum, found, strict=True)}
         return np.array([[self._known[repr(tuple(each)), gait] for gait in gaits] for each in effects])
 
 
@@ -164,7 +159,13 @@ RESAMPLES, LOWER = 2000, 0.025
 def splits_of(
     here: _Rows, there: _Rows, train: Sequence[float], test: Sequence[float], apart: bool
 ) -> list[tuple[str, str, list[ExperimentResult], list[ExperimentResult]]]:
-    """Return kind, name, training swims and test swims of each split."""
+    """Return kind, name, training swims and test swims of each split; see ``fits.open_loop``.
+
+    Args:
+        here, there: swims of the training folder and of the test folder.
+        train, test: EGaIn fractions, per cent.
+        apart: whether the folders differ.
+    """
     by_fraction, aims = _by_fraction(here), _by_fraction(there)
     known = ", ".join(f"{percent:g} % ({len(rows)})" for percent, rows in by_fraction.items()) or "none"
     for percents, rows in ((train, by_fraction), (test, aims)):

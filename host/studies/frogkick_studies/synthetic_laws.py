@@ -56,7 +56,7 @@ def spread(low: float, high: float) -> Callable[[Random], float]:
 
 
 LAWS_FILE = "synthetic_laws.py"
-LAWS_TEXT = '''"""Effects that neither the catalogue nor anybody's helper has."""
+LAWS_TEXT = '''"""Effects that the catalogue does not have."""
 
 import math
 
@@ -228,8 +228,9 @@ PAIRS = (
     ("front_right", "rear_left"),
     ("front_left", "rear_right"),
 )
-"""Limbs that fire both together and apart in the paper's nine actions; the later one, in the robot's order
-where both fire at once, is the one that is weaker."""
+"""Limbs that fire both together and apart in the paper's nine actions.
+
+The later one is weaker; where both fire at once, the later one in the robot's order."""
 
 
 def _made(kind: str, **values: Any) -> Draw:

@@ -224,7 +224,8 @@ class VerdictStudy(StudyResult):
 
         They are: cases, right ones, wrongly found ones, true parameters of identified effects, how many of
         these are inside their intervals, and whether the requirements are met; for laws also in how many
-        cases enough of the error is removed."""
+        cases enough of the error is removed.
+        """
         known, found = kinds(), {}
         for group, least in LEAST.items():
             some = [result for case, result in self.results.items() if known[case.kind].group == group]
@@ -254,7 +255,7 @@ class VerdictStudy(StudyResult):
         return verdicts_figure(self.results)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command, without its picture."""
+        """Return the groups' counts, and the result of each case."""
         return {
             "groups": self.groups,
             "cases": [
@@ -264,7 +265,7 @@ class VerdictStudy(StudyResult):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each planner."""
+        """Return a line for each case, and one for each group of kinds."""
         lines = []
         for case, result in self.results.items():
             errors = " / ".join(

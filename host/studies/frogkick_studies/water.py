@@ -135,7 +135,7 @@ def _factor(speeds: Float64, measured: Float64) -> float:
 
 @dataclass(frozen=True)
 class Joint:
-    """All effects, or all numbers of a robot and its water, fitted together to recorded runs.
+    """All effects of a robot, with those of its water, fitted together to recorded runs.
 
     Attributes:
         fitted, left_out: errors one period ahead on all runs, and on each by the fit without it.
@@ -145,6 +145,47 @@ class Joint:
     fitted: PredictionError
     left_out: PredictionError
     values: Mapping[str, float]
+
+    @classmethod
+    def of(
+        cls,
+        fit: GaussNewton,
+        robot: Robot,
+        at: Float64,
+        residuals: Sequence[Float64],
+        derivatives: Sequence[Float64],
+    ) -> Joint:
+        """Hold each run out of a fit that is done, from its linearisation.
+
+        Args:
+            robot: simulates the held-out runs; the fit may have used a coarser one.
+            at, residuals, derivatives: see ``GaussNewton.linearised``.
+        """
+        swims, ends = fit.swims, []
+        for left in range(len(swims)):
+            base, columns = (
+                np.concatenate([each for run, each in enumerate(of) if run != left])
+                for of in (residuals, derivatives)
+            )
+            without = replace(fit.stepped(at, base, columns, DAMPING), robot=robot)
+            (rollouts,) = rollouts_of([without], swims[left : left + 1])
+            ends.append(end_residuals(rollouts, swims[left : left + 1]))
+        fitted, left_out = (PredictionError.of(np.concatenate(each)) for each in (residuals, ends))
+        values = {
+            f"{term.title} {p.name}": value
+            for term in fit.model.terms
+            for p, value in zip(term.parameters, term.values, strict=True)
+            if value != p.nominal
+        }
+        return cls(fitted, left_out, values)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return both errors and the values, as studies report them."""
+        return {
+            "fitted": self.fitted.as_json(),
+            "left_out": self.left_out.as_json(),
+            "values": dict(self.values),
+        }
 
 
 def quietest(model: Model, swims: Sequence[Segments]) -> Model:
@@ -169,23 +210,7 @@ def together(robot: Robot, name: str, swims: Sequence[Segments]) -> Joint:
     model = quietest(GaussNewton(model, swims).run(STEPS), swims)
     fit = GaussNewton(model, swims)
     at, residuals, derivatives, _ = fit.linearised()
-    ends = []
-    for left in range(len(swims)):
-        base, columns = (
-            np.concatenate([each for run, each in enumerate(of) if run != left])
-            for of in (residuals, derivatives)
-        )
-        without = replace(fit.stepped(at, base, columns, DAMPING), robot=robot)
-        (rollouts,) = rollouts_of([without], swims[left : left + 1])
-        ends.append(end_residuals(rollouts, swims[left : left + 1]))
-    flat = [
-        (term, p, value)
-        for term in model.terms
-        for p, value in zip(term.parameters, term.values, strict=True)
-    ]
-    values = {f"{term.title} {p.name}": value for term, p, value in flat if value != p.nominal}
-    fitted, left_out = (PredictionError.of(np.concatenate(each)) for each in (residuals, ends))
-    return Joint(fitted, left_out, values)
+    return Joint.of(fit, robot, at, residuals, derivatives)
 
 
 def started(
@@ -223,10 +248,14 @@ def started(
 
 @dataclass(frozen=True)
 class Row:
-    """One hypothesis; None without such data."""
+    """One hypothesis: measured swims and recorded runs by it; ``runs`` is None without any.
+
+    Attributes:
+        joint: None if not asked for, or without recorded runs.
+    """
 
     name: str
-    swims: Swims | None
+    swims: Swims
     runs: PredictionError | None
     joint: Joint | None
 
@@ -264,17 +293,17 @@ class WaterStudy(StudyResult):
         lines = []
         for row in values["hypotheses"]:
             lines.append(f"{row['name']}:")
-            if swims := row["swims"]:
-                left = ", ".join(f"by {way} {1e3 * v:.2f}" for way, v in swims["left_out_mps"].items())
-                lines.append(
-                    f"  swims {1e3 * swims['rmse_mps']:.2f} mm/s without a fit; times {swims['factor']:.2f} "
-                    f"fitted to others, held out {left} mm/s"
-                )
-                gains = ", ".join(
-                    f"by {way} {1e6 * gain:.0f} ({1e6 * low:.0f} to {1e6 * high:.0f})"
-                    for way, (gain, low, high) in swims["gain_m2_per_s2"].items()
-                )
-                lines.append(f"  mean square error of the nominal robot falls {gains} mm^2/s^2")
+            swims = row["swims"]
+            left = ", ".join(f"by {way} {1e3 * v:.2f}" for way, v in swims["left_out_mps"].items())
+            lines.append(
+                f"  swims {1e3 * swims['rmse_mps']:.2f} mm/s without a fit; times {swims['factor']:.2f} "
+                f"fitted to others, held out {left} mm/s"
+            )
+            gains = ", ".join(
+                f"by {way} {1e6 * gain:.0f} ({1e6 * low:.0f} to {1e6 * high:.0f})"
+                for way, (gain, low, high) in swims["gain_m2_per_s2"].items()
+            )
+            lines.append(f"  mean square error of the nominal robot falls {gains} mm^2/s^2")
             if runs := row["runs"]:
                 lines.append(f"  recorded runs without a fit: {PredictionError(**runs)}")
             if joint := row["joint"]:
@@ -292,35 +321,33 @@ class WaterStudy(StudyResult):
         return "\n".join(lines)
 
     def plot(self) -> Figure:
-        rows = [row for row in self.rows if row.swims is not None]
-        place = np.arange(len(rows))[::-1]
-        with style.new_figure(8.0, 1.6 + 0.5 * len(rows)) as figure:
-            axes = figure.subplots()
-            ways = list(rows[0].swims.left_out_mps) if rows and rows[0].swims else []
-            for k, way in enumerate(ways):
-                errors = [1e3 * row.swims.left_out_mps[way] for row in rows if row.swims is not None]
-                height = 0.8 / len(ways)
-                axes.barh(place + 0.4 - (k + 0.5) * height, errors, 0.9 * height, label=f"by {way}")
-            axes.set_yticks(place, [row.name for row in rows])
-            axes.set_xlabel("speed error of held-out groups (mm/s RMS)")
-            axes.set_title("Theory about the water")
-            style.legend_below(figure, axes)
-        return figure
+        return left_out_figure(
+            "Theory about the water", {row.name: row.swims.left_out_mps for row in self.rows}
+        )
+
+
+def left_out_figure(title: str, errors_mps: Mapping[str, Mapping[str, float]]) -> Figure:
+    """Draw speed errors of held-out groups of swims: name -> way of grouping -> RMSE, m/s."""
+    place, ways = np.arange(len(errors_mps))[::-1], list(next(iter(errors_mps.values())))
+    height = 0.8 / max(len(ways), 1)
+    with style.new_figure(8.0, 1.8 + 0.5 * len(errors_mps)) as figure:
+        axes = figure.subplots()
+        for k, way in enumerate(ways):
+            errors_mm_s = [1e3 * by_way[way] for by_way in errors_mps.values()]
+            axes.barh(place + 0.4 - (k + 0.5) * height, errors_mm_s, 0.9 * height, label=f"by {way}")
+        axes.set_yticks(place, list(errors_mps))
+        axes.set_xlabel("speed error of held-out groups (mm/s RMS)")
+        axes.set_title(title)
+        style.legend_below(figure, axes)
+    return figure
 
 
 def _row_json(row: Row) -> dict[str, Any]:
-    joint = row.joint
     return {
         "name": row.name,
-        "swims": None if row.swims is None else asdict(row.swims),
+        "swims": asdict(row.swims),
         "runs": None if row.runs is None else row.runs.as_json(),
-        "joint": None
-        if joint is None
-        else {
-            "fitted": joint.fitted.as_json(),
-            "left_out": joint.left_out.as_json(),
-            "values": dict(joint.values),
-        },
+        "joint": None if row.joint is None else row.joint.as_json(),
     }
 
 
@@ -364,17 +391,12 @@ def run(config: Water) -> WaterStudy:
                 )
             )
         tell(len(every), len(every))
-    known = {row.case.gait.egain_percent for row in measured}
-    unseen = [
-        Gait(profile.egain_percent, profile.frequency_hz, 0.5)
-        for profile in found.profiles.profiles
-        if profile.egain_percent not in known
-    ]
+    unseen = unmeasured(found.profiles, measured)
     plain, predicted = (
         _speeds(with_effects(robot, every[name]), found.profiles, unseen, config.processes).tolist()
         for name in (next(iter(every)), PREDICTING)
     )
-    factor = next(row.swims.factor for row in rows if row.name == PREDICTING and row.swims is not None)
+    factor = next(row.swims.factor for row in rows if row.name == PREDICTING)
     return WaterStudy(
         rows,
         [path.stem for path in paths],
@@ -383,6 +405,16 @@ def run(config: Water) -> WaterStudy:
             for gait, before, after in zip(unseen, plain, predicted, strict=True)
         ],
     )
+
+
+def unmeasured(profiles: Profiles, swims: Sequence[ExperimentResult]) -> list[Gait]:
+    """Return a gait, at phase 0.5, for each limb profile of an alloy of which no swim was measured."""
+    known = {swim.case.gait.egain_percent for swim in swims}
+    return [
+        Gait(profile.egain_percent, profile.frequency_hz, 0.5)
+        for profile in profiles.profiles
+        if profile.egain_percent not in known
+    ]
 
 
 def _speeds(robot: Robot, profiles: Profiles, gaits: Sequence[Gait], workers: int) -> Float64:

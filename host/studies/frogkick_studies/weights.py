@@ -36,6 +36,7 @@ TUNED = (
 )  # fmt: skip
 """The weight of progress stays: it is the unit of the others."""
 LENGTH_STROKES = 15.0
+"""Length of a random path, in longest strokes of the table."""
 BENDS_RAD = (0.18, 0.3, 0.48, 0.72)
 """Largest turn of a random path in one longest stroke."""
 CLOSED_STROKES = ((2.7, 1.7), (2.0, 2.0), (3.3, 2.2), (2.3, 1.5))
@@ -55,7 +56,7 @@ DECISIONS_MOST = 80
 NOISE = 0.01
 """Noise of each decision: of position in longest strokes, of heading in rad; for the speed twice as much."""
 _LOST_PROGRESS = 10.0  # weight of a relative loss of progress against a relative change of distance
-_UNFINISHED = 5.0
+_UNFINISHED = 5.0  # the same of a share of runs that are no longer completed
 _SHARE = 0.5  # weight of the worn limbs' score relative to the healthy robot's
 _REACHED = 0.1  # a run that began off its path has reached it within this many longest strokes
 _WORN = 0.7  # share of its contribution that a worn limb has lost
@@ -116,7 +117,7 @@ def swim(
     """Simulate runs along a path, moved by the table and a little noise.
 
     Args:
-        planner: the planner in C, which has the twin's bits and is faster.
+        planner: the planner in C, which chooses bit for bit as the one in Python and is faster.
         offset: initial pose, as in ``OFFSETS``.
         last: number of each run's last decisions whose distance counts.
     """
@@ -148,8 +149,7 @@ def swim(
         live = live[~there]
         if not len(live):
             break
-    arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
-    way_m = np.interp(along, np.arange(points), arc_m)
+    way_m = np.interp(along, np.arange(points), path.along_m)
     counts = np.arange(DECISIONS_MOST)[:, None] >= decisions - last
     return PathRuns(
         float(np.nanmean(distances[counts])),
@@ -180,7 +180,9 @@ def score(tested: Sequence[PathRuns], before: Sequence[PathRuns]) -> float:
 
 
 def off_path_loss(tested: Sequence[PathRuns], before: Sequence[PathRuns], near_m: float) -> float:
-    """Return the increase of the final distance of the worst run that began off its path; 0 if it reached it.
+    """Return how much worse runs that began off their path end than those before; 0 if none is worse.
+
+    It is the largest logarithm of the ratio of final distances; runs that are no longer completed add to it.
 
     Args:
         near_m: distance at which a run has reached its path.

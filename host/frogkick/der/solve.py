@@ -196,7 +196,7 @@ def solve(
 
 
 def unsymmetric_steps(symbolic: SymbolicFactorisation, edges: Int32) -> int:
-    """Return how many steps of the elimination come no later than the rows of the pairs of some edges."""
+    """Return the number of elimination steps up to the last one whose row has a pair of these edges."""
     pairs = symbolic.edge_pair[edges]
     return int(np.searchsorted(symbolic.start, pairs.max(), side="right")) if len(pairs) else 0
 

@@ -244,7 +244,7 @@ class Effect:
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix | None:
         """Change a position fix and return it, or return None to drop it.
 
-        Predictions keep a fix that an effect drops, because it is there.
+        A prediction of a recorded fix keeps it in either case.
         """
         return fix
 

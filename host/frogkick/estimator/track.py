@@ -73,6 +73,7 @@ def wrapped(angle: np.float32) -> np.float32:
 
 
 def sine_cosine(angle: np.float32) -> tuple[np.float32, np.float32]:
+    """Return sine and cosine of an angle as float32; see ``wrapped``."""
     sine, cosine = floats.sincos(angle)
     return np.float32(sine), np.float32(cosine)
 

@@ -59,7 +59,7 @@ def limited(periods: float) -> Iterator[Budget]:
 
 
 def spent_up() -> bool:
-    """Whether a search has to end with what it has. To be asked between steps, not in concurrent pieces."""
+    """Whether a search has to end with what it has. Call it between steps, not in concurrent pieces."""
     budget = _BUDGET.get()
     if budget is None or budget.spent < budget.most:
         return False

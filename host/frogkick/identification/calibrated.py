@@ -38,7 +38,7 @@ from frogkick.robot import Robot, built_in_robots, load_robot
 STEPS_MAX = 5  # steps of the fit at most
 
 PART, PART_STEPS_MAX = 60, 12
-"""From nominal values: the first PART periods are fitted in PART_STEPS_MAX steps, then all periods."""
+"""From nominal values: PART periods, a share of each run, are fitted in PART_STEPS_MAX steps, then all."""
 
 LEG_S = 0.05  # how often wrenches are evaluated: a glide changes slowly
 

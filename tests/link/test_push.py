@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,12 @@ from frogkick.front import retuning as retune_module
 from frogkick.front.retuning import BEFORE, TABLES, Retuning
 from frogkick.identification.verdict import FOUND
 from frogkick.link.pty_line import PtyLine
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.runs.pushing import push
 from frogkick.runs.runlog_file import write_run
+from frogkick.runs.session import Session
+from frogkick.tables.image import open_image
+from frogkick_codegen.firmware import build
 
 OLD, NEW, OTHER = (synthetic.affine_image(20, 9, seed) for seed in (1, 2, 3))
 
@@ -76,6 +82,20 @@ def test_a_robot_left_armed_is_disarmed_and_rests_first(
     assert output.code == 0, output.stderr
     assert f"received {len(NEW)} bytes" in output.stdout and "frogkick push --rollback" in output.stdout
     assert robot.core.state() == "DISARMED"
+
+
+def test_limbs_that_rest_for_long_have_rested_first(tmp_path: Path) -> None:
+    """1.3 s after each pulse, in a period of 1.425 s."""
+    guard = replace(rig.robot().guard, rest_min_s=1.3)
+    write_bytes(tmp_path / "old.fkt", OLD)
+    slow = build("native", tmp_path / "old.fkt", replace(rig.robot(), guard=guard), tmp_path / "out")
+    session = Session(NativeRobot(slow.image, len(rig.robot().limbs)))
+    session.handshake(open_image(OLD))
+    session.step(2.0)
+    session.request("ARM")
+    session.request("STROKE", {"action": 1})
+    session.step(session.time_s + 0.05)
+    assert push(session, open_image(NEW)).bytes_sent == len(NEW)
 
 
 def test_another_robot_refuses(

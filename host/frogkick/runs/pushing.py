@@ -5,15 +5,16 @@ All raise a ``LinkError`` if the robot has another protocol version, refuses, or
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 
 from frogkick.link.auth import KEY_BYTES, default_key_file, make_key, read_key, words
+from frogkick.link.layout import Value
 from frogkick.link.upload import upload
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 
-REST_S = 1.0  # beyond the longest rest that a limb may need after its last pulse
+REST_S = 1.0  # shortest wait for limbs to rest
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def push(
             f"{instead_of.crc32:08x}: give the robot's own with --tables, or send the new one anyway with "
             "'frogkick push'"
         )
-    rest(session)
+    rest(session, answer)
     begin_s = session.time_s
     done = upload(session, tables.image, progress)
     return _pushed(session, done.bytes_sent, done.resumed_at, begin_s)
@@ -67,8 +68,7 @@ def push(
 
 def roll_back(session: Session) -> Pushed:
     """Let a robot return to its previous table."""
-    session.hello()
-    rest(session)
+    rest(session, session.hello())
     begin_s = session.time_s
     here = session.request("TABLE_STATUS")
     if here["previous_crc"] == here["running_crc"]:
@@ -91,8 +91,7 @@ def own(session: Session, release: bool = False) -> None:
         LinkError: the robot has another key, refuses, or does not answer.
         InputError: the key's file cannot be read or written.
     """
-    session.hello()
-    rest(session)
+    rest(session, session.hello())
     key = bytes(KEY_BYTES)
     if not release:
         file = session.key_file or default_key_file()
@@ -101,10 +100,13 @@ def own(session: Session, release: bool = False) -> None:
     session.authenticate()
 
 
-def rest(session: Session) -> None:
-    """Disarm, wait until all limbs have rested, and authenticate."""
+def rest(session: Session, hello: Mapping[str, Value]) -> None:
+    """Disarm, wait until all limbs have rested, and authenticate.
+
+    ``hello``: the robot's answer to HELLO. A limb that can fire in each period rests within one.
+    """
     session.ask("DISARM")  # refused only in a fault, when the outputs are off
-    end_s = session.time_s + REST_S
+    end_s = session.time_s + max(REST_S, 1e-6 * int(hello["period_us"]))
     while session.time_s < end_s:
         session.step(end_s)
     session.authenticate()

@@ -11,9 +11,9 @@ from tests.der.single import Swimmer, simulate_action, simulate_gait
 
 from frogkick.core.errors import InputError
 from frogkick.der import Batch, prepare
-from frogkick.der.batch import run_steps
+from frogkick.der.batch import run_steps, set_accelerations
 from frogkick.der.body import SUMS, place_nodes
-from frogkick.der.stepping import FACTOR_EVERY, RESIDUAL_LIMIT, Nodes, workspace_of
+from frogkick.der.stepping import FACTOR_EVERY, RESIDUAL_LIMIT, SCHEMES, Nodes, workspace_of
 from frogkick.effects.acting import program_of
 from frogkick.effects.swims import Gait, Motions, Trajectory, simulate_gaits, simulate_many
 from frogkick.robot import load_robot
@@ -90,11 +90,30 @@ def test_the_residual_of_a_step_that_failed_is_over_the_force_scale() -> None:
     nodes = Nodes(x_m[..., 0].copy(), v_mps[..., 0].copy(), np.zeros_like(mesh.rest_m))
     active, report = np.zeros((1, 2 * mesh.limbs + 2)), np.zeros((3, 1))
     step_s, still, untold = np.array([[0.2]]), np.empty((0, 1)), np.empty((0, SUMS))
-    run_steps(mesh, RODS.symbolic, work, nodes, step_s, active, still, FACTOR_EVERY, report, untold)
+    fixed = (mesh, RODS.symbolic, work, SCHEMES[ROBOT.integrator])
+    run_steps(*fixed, nodes, step_s, active, still, FACTOR_EVERY, report, untold)
     assert report[0, 0] == 0.0
     left = math.sqrt(float((work.force_n**2).sum())) / mesh.force_scale_n
     assert left > RESIDUAL_LIMIT
     assert report[1, 0] == pytest.approx(left, rel=1e-12)
+
+
+def test_backward_euler_balances_forces_at_the_end_of_the_step() -> None:
+    mesh, work = RODS.mesh, workspace_of(RODS.mesh, RODS.symbolic, 1)
+    x_m, v_mps = place_nodes(mesh, np.zeros(1), np.array([[0.03, 0.01, 0.5]]))
+    start = v_mps[..., 0].copy()
+    nodes = Nodes(x_m[..., 0].copy(), start.copy(), np.zeros_like(mesh.rest_m))
+    active, report = np.zeros((1, 2 * mesh.limbs + 2)), np.zeros((3, 1))
+    active[0, 0:2] = 0.3, 5.0
+    step_s, still, untold = np.array([[0.001]]), np.empty((0, 1)), np.empty((0, SUMS))
+    fixed = (mesh, RODS.symbolic, work, SCHEMES["backward-euler"])
+    run_steps(*fixed, nodes, step_s, active, still, FACTOR_EVERY, report, untold)
+    assert report[0, 0] == -1.0
+    assert nodes.v_mps == pytest.approx((nodes.x_m - x_m[..., 0]) / 0.001, abs=1e-12)
+    end = Nodes(nodes.x_m.copy(), nodes.v_mps.copy(), np.zeros_like(mesh.rest_m))
+    set_accelerations(mesh, work, end, active, still)
+    missed = mesh.mass_kg[:, None] * (end.a_mps2 - (nodes.v_mps - start) / 0.001)
+    assert np.sqrt((missed**2).sum()) < 2.0 * RESIDUAL_LIMIT * mesh.force_scale_n
 
 
 def test_a_hard_step_is_cut_in_one_lane_only() -> None:

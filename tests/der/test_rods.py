@@ -119,6 +119,24 @@ def test_stiffness_is_minus_the_derivative_of_drag_by_velocity(state: State) -> 
     assert np.abs(matrix - expected).max() < 2e-6 * np.abs(matrix).max()
 
 
+def test_drag_by_speed_is_the_paper_s_law_and_its_stiffness_the_symmetric_part(state: State) -> None:
+    """Each component goes with |v|: at equal coefficients the drag is against the velocity."""
+    mesh = MESH._replace(
+        edge_stiffness_n=np.zeros_like(MESH.edge_stiffness_n),
+        bend_stiffness_n_m2=np.zeros_like(MESH.bend_stiffness_n_m2),
+        drag_by_speed=True,
+    )
+    even = mesh._replace(edge_drag_tangential=MESH.edge_drag_normal)
+    force = forces(even, state.x, state.v, state.activation, DROP)
+    gain = np.zeros(len(state.x))
+    np.add.at(gain, MESH.edge_nodes.ravel(), np.repeat(MESH.edge_drag_normal, 2))
+    speed = np.hypot(state.v[:, 0], state.v[:, 1])
+    assert force == pytest.approx(-(gain * speed)[:, None] * state.v, rel=1e-12)
+    matrix = stiffness(mesh, PLAN, state.x, state.v, state.activation, DROP, 0.0, 3.0)
+    slope = -3.0 * central(lambda v: forces(mesh, state.x, v, state.activation, DROP), state.v, 1e-6)
+    assert np.abs(matrix - 0.5 * (slope + slope.T)).max() < 1e-6 * np.abs(matrix).max()
+
+
 def test_the_drag_left_out_of_the_stiffness_is_small_against_inertia(state: State) -> None:
     """What drag changes by turning with its edge, nodes at up to 1 m/s, against mass / step^2 of the tips."""
     mesh = MESH._replace(

@@ -24,10 +24,11 @@ from frogkick.der.schedule import (
     step_times,
     stroke_activation,
 )
-from frogkick.der.stepping import EVALUATION_SHARE
+from frogkick.der.stepping import SCHEMES
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
+SHARE = SCHEMES[ROBOT.integrator].share
 STEP_PROFILE, STEP_S = step_profile_of(ROBOT.actuation()), 0.001
 ROOM = 1.0 + 1e-6
 
@@ -159,13 +160,13 @@ def test_lanes_laid_out_in_one_go_are_those_laid_out_one_by_one() -> None:
         now, until, until > now, starts, scales, profiles_of(actuations), STEP_S, np.inf
     )
     lengths, active = np.zeros((counts.max() - 1, 1, 4)), np.zeros((counts.max() - 1, 4, 4))
-    lay_out(found, counts, strokes, profiles_of(actuations), EVALUATION_SHARE, lengths, active)
+    lay_out(found, counts, strokes, profiles_of(actuations), SHARE, lengths, active)
     assert counts[2] == 0 and not lengths[:, :, 2:].any() and not active[:, :, 2:].any()
     for lane, actuation in enumerate(actuations[:2]):
         ends, step_profile, steps = found[lane, : counts[lane]], step_profile_of(actuation), counts[lane] - 1
         assert np.array_equal(ends, ends_of(now[lane], until[lane], fired[lane], step_profile))
         assert np.array_equal(lengths[:steps, 0, lane], np.diff(ends)) and not lengths[steps:, 0, lane].any()
-        at = ends[:-1] + EVALUATION_SHARE * np.diff(ends)
+        at = ends[:-1] + SHARE * np.diff(ends)
         table = (actuation.activation, actuation.step_s, step_profile.peak_s)
         one = stroke_activation(at, strokes[lane], *table)[:, 0]
         assert np.array_equal(active[:steps, 0, lane], one)

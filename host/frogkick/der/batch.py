@@ -18,19 +18,19 @@ from frogkick.der import body, stepping
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, Rods
-from frogkick.der.schedule import COARSEST_OF_PLATES, STEP_S, Schedule, Stroke
+from frogkick.der.schedule import COARSEST_OF_PLATES, EULER_STEP_S, STEP_S, Schedule, Stroke
 from frogkick.der.solve import SymbolicFactorisation
-from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, Nodes, workspace_of
+from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, SCHEMES, Nodes, Scheme, workspace_of
 from frogkick.der.water import STILL, WATER, Water
 
 
 def _compiled(stamp: int) -> tuple[Any, Any, Any]:
     @cached_njit(**BARE)
     def run_steps(  # type: ignore[no-untyped-def]
-        mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
+        mesh, symbolic, work, scheme, nodes, step_s, active, water, factor_every, report, sums
     ):
         return stamp * 0 + stepping.run_steps(
-            mesh, symbolic, work, nodes, step_s, active, water, factor_every, report, sums
+            mesh, symbolic, work, scheme, nodes, step_s, active, water, factor_every, report, sums
         )
 
     @cached_njit(**BARE)
@@ -75,15 +75,15 @@ class Failure:
 class _State:
     """Positions about each lane's moving origin, velocities, accelerations, and work space."""
 
-    def __init__(self, mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> None:
-        self.mesh, self.symbolic, self.width = mesh, symbolic, width
+    def __init__(self, mesh: Mesh, symbolic: SymbolicFactorisation, scheme: Scheme, width: int) -> None:
+        self.mesh, self.symbolic, self.scheme, self.width = mesh, symbolic, scheme, width
         self.nodes = Nodes(*(lane_zeros((len(mesh.mass_kg), 2), width) for _ in range(3)))
         self.water = [STILL] * width
         self._work = workspace_of(mesh, symbolic, width)
 
     def pick(self, lanes: Sequence[int]) -> _State:
         """Return a copy of ``width`` lanes, which may repeat."""
-        picked = _State(self.mesh, self.symbolic, self.width)
+        picked = _State(self.mesh, self.symbolic, self.scheme, self.width)
         for to, lane in enumerate(lanes):
             self.copy_lane(lane, picked, to)
         return picked
@@ -117,10 +117,8 @@ class _State:
         """
         report = lane_zeros((3, 1), self.width)
         sums = lane_zeros((len(lengths) if trace else 0, SUMS), self.width)
-        mesh, symbolic = self.mesh, self.symbolic
-        run_steps(
-            mesh, symbolic, self._work, self.nodes, lengths, active, self._water(), factor_every, report, sums
-        )
+        fixed, water = (self.mesh, self.symbolic, self._work, self.scheme), self._water()
+        run_steps(*fixed, self.nodes, lengths, active, water, factor_every, report, sums)
         rows = lane_floats(sums)
         every, ends = np.empty((0, MOTION)), np.cumsum(steps).tolist()
         if trace:  # of all lanes in one call
@@ -184,7 +182,7 @@ class Batch:
             pose_world: (lanes, 3) x, y (m), heading (rad), world frame, finite.
             velocity_body: (lanes, 3) forward, left (m/s), turn rate (rad/s), body frame, finite.
             time_s: initial time of all clocks.
-            step_s: finest time step, s, positive.
+            step_s: finest time step, s, positive; a robot with the integrator backward-euler has its own.
             width: number of lanes, at least as many as robots; the other lanes are idle.
             longest_s: upper bound of the steps, in addition to the step-size profile.
         """
@@ -195,8 +193,12 @@ class Batch:
         self.corrections = np.zeros(self.lanes)
         if len(mesh.plate_edges):
             longest_s = min(longest_s, COARSEST_OF_PLATES * step_s)
-        self._schedule = Schedule([each.actuation for each in rods], self.limbs, step_s, longest_s)
-        self._state = _State(mesh, rods[0].symbolic, width)
+        scheme = SCHEMES[rods[0].robot.integrator]
+        if rods[0].robot.integrator == "backward-euler":
+            step_s = longest_s = EULER_STEP_S
+        actuations = [each.actuation for each in rods]
+        self._schedule = Schedule(actuations, self.limbs, scheme.share, step_s, longest_s)
+        self._state = _State(mesh, rods[0].symbolic, scheme, width)
         self._alone: _State | None = None
         # Nodes are kept relative to a moving origin: far out, rounding would spoil strains of 1e-9.
         self._origin = np.array(pose_world[:, :2], dtype=np.float64)
@@ -319,7 +321,7 @@ class Batch:
             Times and rows, as ``advance`` does, about the lane's origin.
         """
         if self._alone is None:
-            self._alone = _State(self._state.mesh, self._state.symbolic, 1)
+            self._alone = _State(self._state.mesh, self._state.symbolic, self._state.scheme, 1)
         alone = self._alone
         self._state.copy_lane(lane, alone, 0)
         ends, rows = [times_s[1 : step + 1]], [before[:step]]

@@ -33,6 +33,8 @@ class Mesh(NamedTuple):
     # edge_drag_normal, edge_drag_tangential: (e,) N / (m/s)^2 at EACH end: rho D C (dl / 2) / 2
     edge_drag_normal: Float64
     edge_drag_tangential: Float64
+    # whether each component of the drag goes with the speed, |v| v_n and |v| v_t, or with itself, |v_n| v_n
+    drag_by_speed: bool
     bend_nodes: Int32  # (b, 3) the three nodes of each bend; a corner is the middle of two bends
     bend_length_m: Float64  # (b,) mean length of its two edges
     bend_stiffness_n_m2: Float64  # (b,) EI at rest
@@ -124,7 +126,8 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
     limb_curvature: dict[int, float] = {}
     order: list[int] = []
     plates: list[tuple[int, float, float]] = []  # edge, kg at each end, kg/m shed
-    for index, limb in enumerate(robot.limbs):
+    for index, light in enumerate(robot.limbs):
+        limb = light.with_egain(robot.egain_percent)
         root = corners[limb.corner]
         step = limb.length_m / limb.segments
         turn = 2.0 * math.atan(0.5 * limb.rest_curvature_per_m * step)
@@ -192,6 +195,7 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
         edge_stiffness_n=np.ascontiguousarray(material[:, 0]),
         edge_drag_normal=0.25 * robot.water_density_kg_per_m3 * material[:, 2] * length,
         edge_drag_tangential=0.25 * robot.water_density_kg_per_m3 * material[:, 3] * length,
+        drag_by_speed=robot.drag_law == "speed",
         bend_nodes=np.array(bends, dtype=np.int32),
         bend_length_m=np.array([dl for _, dl in curvature]),
         bend_stiffness_n_m2=np.array(stiffness),

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from frogkick.core.compiled import BARE
-from frogkick.der.lanes import SimdArray, absolute, add, get, lane_zeros, put, sqrt
+from frogkick.der.lanes import SimdArray, absolute, add, get, lane_zeros, put, sqrt, where_above
 from frogkick.der.mesh import Mesh
 from frogkick.der.solve import SymbolicFactorisation
 from frogkick.der.water import push, relative_velocity
@@ -109,7 +109,11 @@ def add_forces(
             side = 1.0 - 2.0 * end
             vx, vy = relative_velocity(water, x_m, v_mps, node)
             vt, vn = vx * tx + vy * ty, vy * tx - vx * ty
-            along, across = ct * absolute(vt) * vt, cn * absolute(vn) * vn
+            if mesh.drag_by_speed:
+                speed = sqrt(vt * vt + vn * vn)
+                along, across = ct * speed * vt, cn * speed * vn
+            else:
+                along, across = ct * absolute(vt) * vt, cn * absolute(vn) * vn
             fx = side * get(edges.pull_n, edge, 0) - along * tx + across * ty
             fy = side * get(edges.pull_n, edge, 1) - along * ty - across * tx
             add(force_n, node, 0, fx)
@@ -198,8 +202,19 @@ def add_stiffness(
         for end in range(2):
             node = mesh.edge_nodes[edge, end]
             vx, vy = relative_velocity(water, x_m, v_mps, node)
-            dt = velocity_gain * ct * absolute(vx * tx + vy * ty)
-            dn = velocity_gain * cn * absolute(vy * tx - vx * ty)
+            vt, vn = vx * tx + vy * ty, vy * tx - vx * ty
+            if mesh.drag_by_speed:  # the symmetric part
+                speed = sqrt(vt * vt + vn * vn)
+                share = 0.5 * velocity_gain / where_above(speed, 0.0, speed, 1.0)
+                dt = share * ct * (speed * speed + vt * vt)
+                dn = share * cn * (speed * speed + vn * vn)
+                mixed = 0.5 * share * (ct + cn) * vt * vn
+                add(diagonal, node, 0, -2.0 * mixed * (tx * ty))
+                add(diagonal, node, 1, mixed * (tx * tx - ty * ty))
+                add(diagonal, node, 2, 2.0 * mixed * (tx * ty))
+            else:
+                dt = velocity_gain * ct * absolute(vt)
+                dn = velocity_gain * cn * absolute(vn)
             add(diagonal, node, 0, xx + dt * (tx * tx) + dn * (ty * ty))
             add(diagonal, node, 1, xy + (dt - dn) * (tx * ty))
             add(diagonal, node, 2, yy + dt * (ty * ty) + dn * (tx * tx))

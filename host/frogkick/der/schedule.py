@@ -22,14 +22,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.compiled import cached_njit
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
-from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import Actuation
 
 STEP_S = 0.0008
 """Finest time step, while a limb straightens."""
+EULER_STEP_S = 0.001
+"""Longest time step of backward Euler, that of the published simulations."""
 COARSEST = 8.0  # longest step over the finest; beyond it, limbs that curl back need more corrections per step
 COARSEST_AT_REST = 12.0  # the same while no stroke lasts
 SHARP_PER_S2 = 600.0  # second derivative of the activation from which on steps are the finest
+ROUNDING = 1e-6  # samples of a stroke: a step that ends with it is evaluated at its last one
 SLIVER = 0.1  # of the finest step: kinks that are closer together count as one
 RINGS_S = (
     0.8  # the frame oscillates for this time after a stroke starts; with 0.6, 2 of 192 gaits err by 0.2 %
@@ -67,7 +69,7 @@ class StepProfile:
 def step_profile_of(actuation: Actuation) -> StepProfile:
     """Return the step-size profile of a stroke."""
     active, every_s = actuation.activation, actuation.step_s
-    last = int(np.flatnonzero(active > 0.0)[-1]) + 1
+    last = min(int(np.flatnonzero(active > 0.0)[-1]) + 1, len(active) - 1)
     rings = math.ceil(RINGS_S / every_s)
     bend = np.zeros(last + 1)
     bend[1:-1] = np.abs(np.diff(active[: last + 1], 2)) / every_s**2
@@ -108,12 +110,18 @@ class Schedule:
     Args:
         actuations: for each lane the effect of its strokes on a limb.
         limbs: number of limbs of each robot.
+        share: share of a step at which forces are evaluated.
         step_s: the finest step.
-        longest_s: upper bound of the steps, in addition to the step-size profile.
+        longest_s: upper bound of the steps, in addition to the step-size profile. If it is at most step_s,
+            all steps have that length, but for those that end at the starts and ends of strokes.
     """
 
-    def __init__(self, actuations: Sequence[Actuation], limbs: int, step_s: float, longest_s: float) -> None:
-        self._profiles = profiles_of(actuations)
+    def __init__(
+        self, actuations: Sequence[Actuation], limbs: int, share: float, step_s: float, longest_s: float
+    ) -> None:
+        self._profiles, self._share = profiles_of(actuations), share
+        if longest_s <= step_s:
+            self._profiles = self._profiles._replace(coarseness=np.ones_like(self._profiles.coarseness))
         self._step_s, self._longest_s = float(step_s), float(longest_s)
         self._strokes: list[list[list[Stroke]]] = [[[] for _ in range(limbs)] for _ in actuations]
         self._changed = set(range(len(actuations)))
@@ -169,8 +177,7 @@ class Schedule:
             strokes, profiles = strokes[[lane]], profiles.of([lane])
         lengths = lane_zeros((longest, 1), width)
         active = lane_zeros((longest, 2 * strokes.shape[1] + 2), width)
-        # The share is an argument, because a cached function would keep the old value of a constant.
-        lay_out(times, counts, strokes, profiles, EVALUATION_SHARE, lane_floats(lengths), lane_floats(active))
+        lay_out(times, counts, strokes, profiles, self._share, lane_floats(lengths), lane_floats(active))
         return lengths, active
 
     def _set_tables(self) -> None:
@@ -376,8 +383,8 @@ def stroke_activation(
             for stroke in range(strokes.shape[1]):
                 start, gain, scale = strokes[limb, stroke]
                 place = _measured_s(times_s[k] - start, scale, peak_s) / table_step_s
-                if place > 0.0 and place < table.shape[0] - 1:  # false for NaN
-                    index = int(place)
+                if place > 0.0 and place < table.shape[0] - 1 + ROUNDING:  # false for NaN
+                    index = min(int(place), table.shape[0] - 2)
                     share = place - index
                     now = (1.0 - share) * table[index] + share * table[index + 1]
                     active[k, limb] = max(active[k, limb], gain * now)

@@ -1,12 +1,15 @@
-"""Implicit time steps of second order: generalised-alpha, for one simulation or for many in SIMD lanes.
+"""Implicit time steps, for one simulation or for many in SIMD lanes: generalised-alpha or backward Euler.
 
 Each step factorises its matrix once and then corrects with that factor (a chord or modified Newton method):
 after the first correction each further one reduces the residual a thousandfold, at a quarter of the cost of a
 new factor. A lane stops correcting as soon as it has converged, and a lane that fails keeps its state before
 the step, so no lane affects the others.
 
+Generalised-alpha is of second order and is the default. Backward Euler is of first order and damps every
+oscillation that a step does not resolve; the published simulations were made with it.
+
 Source: Chung and Hulbert 1993, J. Appl. Mech. 60(2), generalised-alpha; here with forces evaluated at the
-interpolated point. It is a one-step method, so steps may differ in length.
+interpolated point. Both are one-step methods, so steps may differ in length.
 """
 
 from __future__ import annotations
@@ -36,8 +39,45 @@ ALPHA_M = (2.0 * SPECTRAL_RADIUS - 1.0) / (SPECTRAL_RADIUS + 1.0)
 ALPHA_F = SPECTRAL_RADIUS / (SPECTRAL_RADIUS + 1.0)
 GAMMA = 0.5 - ALPHA_M + ALPHA_F
 BETA = 0.25 * (1.0 - ALPHA_M + ALPHA_F) ** 2
-EVALUATION_SHARE = 1.0 - ALPHA_F
-"""Share of a step at which forces are evaluated."""
+
+
+class Scheme(NamedTuple):
+    """Coefficients of an implicit one-step method.
+
+    Over a step of length h a node moves by d, from velocity v and acceleration a. Forces are evaluated after
+    a share of d, at the velocity ``velocity_of_move * d / h + velocity_kept * v + velocity_of_acceleration *
+    h a``. They balance the mass times ``mass_of_move * (d - h v) / h^2 + acceleration_balanced * a``.
+    The next acceleration is a' = (d - h v) / (beta h^2) + acceleration_kept * a, and the next velocity
+    v + h ((1 - gamma) a + gamma a').
+    """
+
+    share: float
+    velocity_of_move: float
+    velocity_kept: float
+    velocity_of_acceleration: float
+    mass_of_move: float
+    acceleration_balanced: float
+    beta: float
+    acceleration_kept: float
+    gamma: float
+
+
+_SHARE = 1.0 - ALPHA_F
+SCHEMES = {
+    "generalised-alpha": Scheme(
+        _SHARE,
+        _SHARE * GAMMA / BETA,
+        1.0 - _SHARE * GAMMA / BETA,
+        _SHARE * (1.0 - 0.5 * GAMMA / BETA),
+        (1.0 - ALPHA_M) / BETA,
+        1.0 - (1.0 - ALPHA_M) * 0.5 / BETA,
+        BETA,
+        1.0 - 0.5 / BETA,
+        GAMMA,
+    ),
+    "backward-euler": Scheme(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0),
+}
+"""By the value of a robot file's ``integrator``."""
 
 RESIDUAL_LIMIT = 1e-6  # root of the summed squares of all nodal residuals, over Mesh.force_scale_n
 MAX_ITERATIONS = 16
@@ -129,6 +169,7 @@ def set_residual(
     active: SimdArray,
     step: int,
     water: SimdArray,
+    share: float,
     velocity_gain: Any,
     mass_gain: Any,
 ) -> Any:
@@ -136,7 +177,7 @@ def set_residual(
     for i in range(x_m.shape[0]):
         for d in range(2):
             move = get(work.move_m, i, d)
-            put(work.x_m, i, d, get(x_m, i, d) + EVALUATION_SHARE * move)
+            put(work.x_m, i, d, get(x_m, i, d) + share * move)
             put(work.v_mps, i, d, velocity_gain * move + get(work.v_start, i, d))
             put(work.force_n, i, d, get(work.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move)
     add_forces(mesh, work.edges, work.x_m, work.v_mps, active, step, water, work.force_n)
@@ -157,6 +198,7 @@ def set_factor(
     symbolic: SymbolicFactorisation,
     work: Workspace,
     water: SimdArray,
+    share: float,
     velocity_gain: Any,
     mass_gain: Any,
 ) -> None:
@@ -178,7 +220,7 @@ def set_factor(
         work.x_m,
         work.v_mps,
         water,
-        EVALUATION_SHARE,
+        share,
         velocity_gain,
         work.diagonal,
         work.pair,
@@ -196,7 +238,7 @@ def set_factor(
             water,
             work.move_m,
             work.a_start,
-            EVALUATION_SHARE,
+            share,
             velocity_gain,
             mass_gain,
             work.diagonal,
@@ -213,6 +255,7 @@ def run_steps(
     mesh: Mesh,
     symbolic: SymbolicFactorisation,
     work: Workspace,
+    scheme: Scheme,
     nodes: Nodes,
     step_s: SimdArray,
     active: SimdArray,
@@ -225,9 +268,10 @@ def run_steps(
 
     Args:
         mesh, symbolic, work: mesh, index lists and work space.
+        scheme: one of ``SCHEMES``.
         nodes: the states, changed.
         step_s: (steps, 1) lengths; a lane does not move in a step that is not positive.
-        active: (steps, 2 * (limbs + 1)), at EVALUATION_SHARE of each step; see frogkick.der.rods.add_forces.
+        active: (steps, 2 * (limbs + 1)), at ``scheme.share`` of each step; see frogkick.der.rods.add_forces.
         water: (WATER, 1) or (0, 1), constant over the steps; see there.
         factor_every: corrections with one factor: FACTOR_EVERY, or 1 (Newton's method) for a difficult step.
         report: (3, 1), written: row 0 the first step in which the lane failed, or -1; such a lane keeps its
@@ -252,32 +296,27 @@ def run_steps(
         if not any_above(going, 0.5):
             continue
         h = where_above(given, 0.0, given, 1.0)
-        velocity_gain = (EVALUATION_SHARE * GAMMA / BETA) / h
-        mass_gain = ((1.0 - ALPHA_M) / BETA) / (h * h)
+        velocity_gain = scheme.velocity_of_move / h
+        mass_gain = scheme.mass_of_move / (h * h)
         for i in range(n):
             for d in range(2):
                 v, a = get(v_mps, i, d), get(a_mps2, i, d)
                 # Guess: the acceleration stays.
                 put(work.move_m, i, d, h * v + (0.5 * (h * h)) * a)
-                put(
-                    work.v_start,
-                    i,
-                    d,
-                    (1.0 - EVALUATION_SHARE * GAMMA / BETA) * v
-                    + (EVALUATION_SHARE * (1.0 - 0.5 * GAMMA / BETA)) * (h * a),
-                )
-                inertia = mass_gain * (h * v) - (1.0 - (1.0 - ALPHA_M) * 0.5 / BETA) * a
+                start = scheme.velocity_kept * v + scheme.velocity_of_acceleration * (h * a)
+                put(work.v_start, i, d, start)
+                inertia = mass_gain * (h * v) - scheme.acceleration_balanced * a
                 put(work.a_start, i, d, inertia)
                 put(work.force_start, i, d, mesh.mass_kg[i] * inertia)
         open_ = going
         for iteration in range(MAX_ITERATIONS + 1):
-            total = set_residual(mesh, work, x_m, active, step, water, velocity_gain, mass_gain)
+            total = set_residual(mesh, work, x_m, active, step, water, scheme.share, velocity_gain, mass_gain)
             evaluations += 1
             open_ = where_above(total, limit, open_, 0.0)
             if iteration == MAX_ITERATIONS or not any_above(open_, 0.5):
                 break
             if iteration % factor_every == 0:
-                set_factor(mesh, symbolic, work, water, velocity_gain, mass_gain)
+                set_factor(mesh, symbolic, work, water, scheme.share, velocity_gain, mass_gain)
             if mesh.plate_edges.shape[0] > 0:
                 solve_mixed(symbolic, work.steps, work.diagonal, work.pair, work.lower, work.force_n)
             else:
@@ -296,9 +335,10 @@ def run_steps(
         for i in range(n):
             for d in range(2):
                 move, v, a = get(work.move_m, i, d), get(v_mps, i, d), get(a_mps2, i, d)
-                new = (move - h * v) / (BETA * (h * h)) + (1.0 - 0.5 / BETA) * a
+                new = (move - h * v) / (scheme.beta * (h * h)) + scheme.acceleration_kept * a
+                kept = (1.0 - scheme.gamma) * a + scheme.gamma * new
                 add(x_m, i, d, where_above(moving, 0.5, move, 0.0))
-                put(v_mps, i, d, where_above(moving, 0.5, v + h * ((1.0 - GAMMA) * a + GAMMA * new), v))
+                put(v_mps, i, d, where_above(moving, 0.5, v + h * kept, v))
                 put(a_mps2, i, d, where_above(moving, 0.5, new, a))
         if step < sums.shape[0]:
             set_sums(mesh, x_m, v_mps, step, sums)

@@ -104,6 +104,8 @@ class Robot:
         egain_percent, profile_frequency_hz: which of ``profiles`` the strokes of actions are taken from.
         gait_lead_mask, gait_lag_mask: the two groups of the cyclic gait; the second lags by the phase.
         velocity_resolution: velocity per code of a table image, (m/s, m/s, rad/s).
+        integrator: key of frogkick.der.stepping.SCHEMES, the method of the time steps.
+        drag_law: whether drag goes with the square of each component of the velocity, or with the speed.
         battery: of the limbs; None if its file has none.
         effects: tables of its effects in its file (see frogkick.effects.effects_of).
         folder: folder of its own effects' files; None if the text has no folder.
@@ -132,6 +134,8 @@ class Robot:
     planner: PlannerDefaults
     toml: str
     sha256: bytes
+    integrator: str = "generalised-alpha"
+    drag_law: str = "component"
     battery: Battery | None = None
     effects: tuple[Mapping[str, Any], ...] = ()
     folder: Path | None = field(default=None, compare=False)
@@ -172,7 +176,10 @@ class Robot:
         for i, (x, y) in enumerate(self.frame.corners_m):
             x2, y2 = self.frame.corners_m[(i + 1) % len(self.frame.corners_m)]
             perimeter += ((x2 - x) ** 2 + (y2 - y) ** 2) ** 0.5
-        limbs = sum(limb.length_m * limb.mass_per_length_kg_per_m for limb in self.limbs)
+        limbs = sum(
+            limb.length_m * limb.with_egain(self.egain_percent).mass_per_length_kg_per_m
+            for limb in self.limbs
+        )
         return perimeter * self.frame.mass_per_length_kg_per_m + limbs
 
     @property

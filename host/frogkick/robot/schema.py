@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from inspect import isclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -102,10 +102,20 @@ class Limb:
     drag_width_m: Annotated[NotNegative, key("m across the flow")]
     drag_normal: Annotated[NotNegative, key("drag coefficient across the limb")]
     drag_tangential: Annotated[NotNegative, key("drag coefficient along it")]
+    egain_mass_ratio: Annotated[NotNegative, key(
+        "mass for each m that a limb of EGaIn alone would have more, over mass_per_length_kg_per_m"
+    )] = 0.0  # fmt: skip
     # set by effects only: water that moves with it across but not along it, and the share of its momentum
     # that the tip leaves behind; see frogkick.der.plates
     plate_mass_per_length_kg_per_m: float = 0.0
     tip_shedding: float = 0.0
+
+    def with_egain(self, percent: float) -> Limb:
+        """The limb with the mass that this much EGaIn, per cent by volume, gives it."""
+        if self.egain_mass_ratio == 0.0:
+            return self
+        mass = self.mass_per_length_kg_per_m * (1.0 + self.egain_mass_ratio * percent / 100.0)
+        return replace(self, mass_per_length_kg_per_m=mass, egain_mass_ratio=0.0)
 
 
 @dataclass(frozen=True)
@@ -225,6 +235,10 @@ class ProfileTable(_Table):
     centre_s: list[float] = key("s of each term")
     width_s: list[Positive] = key("s of each term")
     rms_per_m: NotNegative = key("1/m that the terms miss the measurement by, root mean square")
+    start_per_m: NotNegative = key(
+        "1/m at the pulse's start; above 0: one term up to straightest_s, one from there on", 0.0
+    )
+    straightest_s: NotNegative = key("s at which the limb is straightest, with start_per_m", 0.0)
 
 
 class RobotFile(_Table):
@@ -249,6 +263,14 @@ class RobotFile(_Table):
     )
     velocity_resolution: tuple[Positive, Positive, Positive] = key(
         "m/s, m/s, rad/s: one step of a table's velocities"
+    )
+    integrator: Literal["generalised-alpha", "backward-euler"] = key(
+        "time steps of simulations: generalised-alpha, or backward-euler of 1 ms as the paper's",
+        "generalised-alpha",
+    )
+    drag_law: Literal["component", "speed"] = key(
+        "drag across and along a rod: component, each with its own square; speed, each with the speed's |v|",
+        "component",
     )
     water: WaterTable
     frame: FrameTable

@@ -9,8 +9,15 @@ import pytest
 from tests.cli.commands import frogkick
 
 from frogkick.core.errors import InputError
-from frogkick.robot import load_robot
-from frogkick.robot.profile import fit_profile, read_mat, write_profiles
+from frogkick.robot import load_robot, parse_robot
+from frogkick.robot.profile import (
+    HalvesProfile,
+    actuation,
+    fit_halves,
+    fit_profile,
+    read_mat,
+    write_profiles,
+)
 
 
 def made_up(noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -129,3 +136,50 @@ def test_files_that_hold_no_stroke_are_refused(
     done = frogkick(capsys, "robot", "fit-stroke", tmp_path / "k.csv", "--out", out, *more)
     assert done.code == 2 and says in done.stderr and done.stderr.count("\n") == 1, done.stderr
     assert not out.exists()
+
+
+def halves(t: np.ndarray) -> np.ndarray:
+    """Logistics that fall from 125 to 40 1/m at 0.1 s and rise to 124 1/m."""
+
+    def rise(t: np.ndarray, start: float, end: float, centre: float, width: float) -> np.ndarray:
+        at, first, last = (1.0 / (1.0 + np.exp(-(x - centre) / width)) for x in (t, start, end))
+        return np.asarray((at - first) / (last - first))
+
+    down = 125.0 - 85.0 * rise(t, 0.0, 0.1, 0.03, 0.008)
+    return np.where(t < 0.1, down, 40.0 + 84.0 * rise(t, 0.1, 1.25, 0.4, 0.09))
+
+
+def test_the_paper_s_form_meets_the_measured_ends() -> None:
+    t = np.linspace(0.0, 1.25, 301)
+    t[np.abs(t - 0.1).argmin()] = 0.1
+    k = halves(t)
+    profile = fit_halves(t, k, 10.0, 0.8, 130.0)
+    assert (profile.start_per_m, profile.straightest_s) == (125.0, 0.1)
+    assert profile.centre_s == pytest.approx((0.03, 0.4), rel=1e-3)
+    assert profile.width_s == pytest.approx((0.008, 0.09), rel=1e-3)
+    assert np.abs(profile.curvature_per_m(t) - k).max() < 0.01
+    stroke = actuation([profile], 10.0, 0.8)
+    at = np.arange(len(stroke.activation)) * stroke.step_s
+    assert at[-1] == pytest.approx(1.25)
+    assert np.abs(130.0 - stroke.drop_per_m * stroke.activation - halves(at)).max() < 0.02
+    with pytest.raises(InputError, match=r"is 125 1/m at most, the robot's limbs 120 1/m at rest"):
+        fit_halves(t, k, 10.0, 0.8, 120.0)
+
+
+def test_profiles_in_the_paper_s_form_are_those_of_the_measurements(frog2022_dir: Path) -> None:
+    robot = load_robot("frog2022-sim")
+    assert len(robot.profiles) == len(load_robot("frog2022").profiles)
+    for profile in robot.profiles:
+        assert isinstance(profile, HalvesProfile)
+        name = f"{round(profile.egain_percent / 10)}/{round(profile.frequency_hz * 10)}.mat"
+        t, k = read_mat(frog2022_dir / "profile" / name, "mean")
+        assert profile.curvature_per_m(t)[[0, -1]] == pytest.approx(k[[0, -1]], abs=1e-3)
+        assert profile.curvature_per_m(t).min() == pytest.approx(k.min(), abs=1e-3)
+
+
+def test_half_of_the_paper_s_form_is_refused() -> None:
+    text = load_robot("frog2022-sim").toml
+    for old, new in (("start_per_m = 123.116", ""), ("straightest_s = 0.125208681", "straightest_s = 9.0")):
+        assert old in text
+        with pytest.raises(InputError, match="give two terms, a start above 0 and a time within duration_s"):
+            parse_robot(text.replace(old, new), "a robot")

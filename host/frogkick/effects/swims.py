@@ -16,8 +16,10 @@ from frogkick.core.arrays import Float64, Int64
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.poses import wrap_angle
 from frogkick.der import STEP_S, WIDTH, Batch, Failure, Rods, interpolate
-from frogkick.effects.acting import Program, lane_effects, program_of, rods_of
-from frogkick.robot import Action, Robot
+from frogkick.der.mesh import build_mesh
+from frogkick.effects.acting import Program, changed_robot, lane_effects, program_of, rods_of
+from frogkick.effects.registry import effects_of
+from frogkick.robot import Action, Actuation, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 
 SAMPLE_S = 0.01  # spacing of trajectories
@@ -273,8 +275,8 @@ def simulate_gaits(
             raise InputError(f"phase is {gait.phase}: give a share of the cycle, 0 <= phase < 1")
     if not 1 <= cycles <= CYCLES_MAX:
         raise InputError(f"cycles is {cycles}: give 1 to {CYCLES_MAX}")
-    body = rods_of(robot)
-    some = [replace(body, actuation=robot.actuation(gait.egain_percent, gait.frequency_hz)) for gait in gaits]
+    strokes = [robot.actuation(gait.egain_percent, gait.frequency_hz) for gait in gaits]
+    some = gait_rods(rods_of(robot), gaits, strokes)
     swim_traces = simulate_gait_traces(some, gaits, cycles, step_s=step_s, width=width)
     last = min(cycles, 8)
     counted = min(last, 3)
@@ -304,11 +306,37 @@ def simulate_gait_traces(
     """Simulate gaits with phases in [0, 1) from rest, heading along world x; each cycle is a stage.
 
     Args:
-        rods: one for each gait, of one robot; frequency and phase of the gait give the times of its pulses.
+        rods: one for each gait, see ``gait_rods``; a gait's frequency and phase give the times of its pulses.
         step_s, width: see ``simulate_stages``.
     """
     if not gaits:
         return []
+    found: dict[int, SwimTrace | Failure] = {}
+    for same in {id(each.mesh): each.mesh for each in rods}.values():  # a batch has one mesh
+        lanes = [k for k, each in enumerate(rods) if each.mesh is same]
+        some = [rods[k] for k in lanes], [gaits[k] for k in lanes]
+        found |= zip(lanes, _one_mesh(*some, cycles, step_s, width), strict=True)
+    return [found[k] for k in range(len(rods))]
+
+
+def gait_rods(rods: Rods, gaits: Sequence[Gait], strokes: Sequence[Actuation]) -> list[Rods]:
+    """Return for each gait the rods with its stroke, and with the mass that its EGaIn gives to the limbs."""
+    bodies: dict[float, Rods] = {}
+    for percent in {gait.egain_percent for gait in gaits}:
+        bodies[percent] = rods
+        if any(limb.egain_mass_ratio > 0.0 for limb in rods.robot.limbs):
+            robot = replace(rods.robot, egain_percent=percent)
+            mesh, symbolic = build_mesh(changed_robot(robot, effects_of(robot)))
+            bodies[percent] = replace(rods, robot=robot, mesh=mesh, symbolic=symbolic)
+    return [
+        replace(bodies[gait.egain_percent], actuation=stroke)
+        for gait, stroke in zip(gaits, strokes, strict=True)
+    ]
+
+
+def _one_mesh(
+    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, step_s: float, width: int
+) -> list[SwimTrace | Failure]:
     robot, period_s = rods[0].robot, np.array([1.0 / gait.frequency_hz for gait in gaits])
     groups = [((robot.gait_lead_mask, 0.0), (robot.gait_lag_mask, gait.phase)) for gait in gaits]
 

@@ -18,7 +18,7 @@ from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.robot.geometry import require_geometry
 from frogkick.robot.model import Action, Robot
-from frogkick.robot.profile import Profile
+from frogkick.robot.profile import HalvesProfile, Profile
 from frogkick.robot.schema import (
     ABOUT,
     ACTION_NAME_MAX,
@@ -295,7 +295,17 @@ def _profile(table: ProfileTable) -> Profile:
             f"profile at {table.egain_percent:g} %, {table.frequency_hz:g} Hz has lists of "
             "different lengths: give each term an amplitude, a centre and a width"
         )
-    return Profile(**{**values, **{key: tuple(values[key]) for key in lists}})
+    values |= {key: tuple(values[key]) for key in lists}
+    start, straightest = (values.pop(key) for key in ("start_per_m", "straightest_s"))
+    if start == straightest == 0.0:
+        return Profile(**values)
+    if len(table.amplitude_per_m) != 2 or not 0.0 < straightest < table.duration_s or start == 0.0:
+        raise InputError(
+            f"profile at {table.egain_percent:g} %, {table.frequency_hz:g} Hz has "
+            f"{len(table.amplitude_per_m)} terms, start_per_m {start:g} and straightest_s {straightest:g}: "
+            "give two terms, a start above 0 and a time within duration_s, or neither of the two keys"
+        )
+    return HalvesProfile(**values, start_per_m=start, straightest_s=straightest)
 
 
 def _box(table: LibraryTable) -> VelocityBox:

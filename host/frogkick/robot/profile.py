@@ -1,15 +1,16 @@
 """Limb curvature over one actuation cycle: the formula, its fit to measured strokes, interpolation.
 
 A stroke straightens a curled limb within some 50 ms and lets it curl back over the rest of the cycle. The
-paper describes each half by one logistic (Huang 2022, Eq. 9). One logistic down and two up, with the mean
-taken out that would leave a step between two cycles, fit all 48 measured profiles within 1.4 1/m RMS.
+paper describes each half by one logistic (Huang 2022, Eq. 9; ``HalvesProfile``, with which the published
+simulations were made). One logistic down and two up, with the mean taken out that would leave a step between
+two cycles, fit all 48 measured profiles within 1.4 1/m RMS (``Profile``).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,13 +55,41 @@ class Profile:
 
 
 @dataclass(frozen=True)
+class HalvesProfile(Profile):
+    """Curvature of a limb over one cycle in the paper's form: two halves that meet where it is straightest.
+
+    In each half k(t) = a + (b - a) (l(t) - l(start)) / (l(end) - l(start)), with the logistic
+    l(t) = 1 / (1 + exp(-(t - centre) / width)). The first half falls from ``start_per_m`` to the lowest
+    measured curvature at ``straightest_s``. The second rises from there to the last measured curvature. The
+    two amplitudes are the differences b - a.
+
+    It is the limb's curvature itself and not a drop from a robot's rest. ``rest_curvature_per_m`` is that of
+    the robot's limbs, which they leave for good with the first stroke.
+    """
+
+    start_per_m: float
+    straightest_s: float
+
+    def curvature_per_m(self, time_s: Float64) -> Float64:
+        """Curvature (1/m) at times (s, any shape) since the pulse began; outside of the cycle its end's."""
+        (down, up), straight, end = self.amplitude_per_m, self.straightest_s, self.duration_s
+        heating, cooling = zip(self.centre_s, self.width_s, strict=True)
+        return np.asarray(
+            self.start_per_m
+            + down * _rise(np.clip(time_s, 0.0, straight), 0.0, straight, *heating)
+            + up * _rise(np.clip(time_s, straight, end), straight, end, *cooling)
+        )
+
+
+@dataclass(frozen=True)
 class Actuation:
     """The effect of a stroke on a limb, sampled for the simulation."""
 
     duration_s: float  # from the pulse's start to rest
     step_s: float  # spacing of the samples
     drop_per_m: float  # largest drop of the curvature, 1/m
-    # (n,) share of that drop: 0 at rest and at both ends, 1 where the limb is straightest
+    # (n,) share of that drop: 0 at rest, 1 where the limb is straightest; 0 at both ends, if not of a
+    # HalvesProfile
     activation: Float64
 
 
@@ -74,6 +103,42 @@ def _formula(parameters: Float64, time_s: Float64, end_s: float) -> Float64:
 
     start, end = raw(np.zeros(())), raw(np.full((), end_s))
     return np.asarray(parameters[0] + raw(time_s) - start - (end - start) * time_s / end_s)
+
+
+def _rise(time_s: Float64, start_s: float, end_s: float, centre_s: float, width_s: float) -> Float64:
+    """A logistic, scaled to rise from 0 at the start to 1 at the end."""
+    at, first, last = (
+        0.5 * (1.0 + np.tanh(0.5 * (t - centre_s) / width_s)) for t in (time_s, start_s, end_s)
+    )
+    return np.asarray((at - first) / (last - first))
+
+
+def _measured_cycle(
+    time_s: Sequence[float] | Float64, curvature_per_m: Sequence[float] | Float64, name: str
+) -> tuple[Float64, Float64]:
+    """The samples of a cycle as (n,) arrays.
+
+    Raises:
+        InputError: see ``fit_profile``.
+    """
+    t = np.asarray(time_s, dtype=np.float64).ravel()
+    k = np.asarray(curvature_per_m, dtype=np.float64).ravel()
+    if t.shape != k.shape or t.size < 20:
+        raise InputError(
+            f"{name} has {t.size} times and {k.size} curvatures: give two equal rows of 20 or more"
+        )
+    if not (np.isfinite(t).all() and np.isfinite(k).all() and (np.diff(t) > 0).all()):
+        raise InputError(
+            f"{name} has a non-finite sample or times that do not increase: clean the measurement"
+        )
+    rest, low = float(k[0]), float(k.min())
+    if not rest - low > 1.0:
+        raise InputError(
+            f"{name} falls from {rest:.3g} to {low:.3g} 1/m: a stroke lowers it by more than 1 1/m"
+        )
+    if not np.any(t > max(t[int(k.argmin())], 0.1 * float(t[-1]))):
+        raise InputError(f"{name} is lowest at its end: a cycle lasts until the limb is at rest")
+    return t, k
 
 
 def fit_profile(
@@ -97,27 +162,11 @@ def fit_profile(
     """
     from scipy.optimize import least_squares
 
-    t = np.asarray(time_s, dtype=np.float64).ravel()
-    k = np.asarray(curvature_per_m, dtype=np.float64).ravel()
     name = f"profile at {egain_percent:g} % EGaIn, {frequency_hz:g} Hz"
-    if t.shape != k.shape or t.size < 20:
-        raise InputError(
-            f"{name} has {t.size} times and {k.size} curvatures: give two equal rows of 20 or more"
-        )
-    if not (np.isfinite(t).all() and np.isfinite(k).all() and (np.diff(t) > 0).all()):
-        raise InputError(
-            f"{name} has a non-finite sample or times that do not increase: clean the measurement"
-        )
-    end = float(t[-1])
-    rest, low = float(k[0]), float(k.min())
-    if not rest - low > 1.0:
-        raise InputError(
-            f"{name} falls from {rest:.3g} to {low:.3g} 1/m: a stroke lowers it by more than 1 1/m"
-        )
+    t, k = _measured_cycle(time_s, curvature_per_m, name)
+    end, rest, low = float(t[-1]), float(k[0]), float(k.min())
     half_down = t[int(np.argmax(k < 0.5 * (rest + low)))]
     cooling = np.flatnonzero(t > max(t[int(k.argmin())], 0.1 * end))
-    if not cooling.size:
-        raise InputError(f"{name} is lowest at its end: a cycle lasts until the limb is at rest")
     best_cost, best = np.inf, np.zeros(1 + 3 * TERMS)
     for spread in (0.5, 0.8):  # two starts: one narrow, one wide pair of cooling terms
         start = [rest, low - rest, half_down, 0.008]
@@ -146,6 +195,64 @@ def fit_profile(
         width_s=tuple(digits[3::3]),
         rms_per_m=float(f"{np.sqrt(np.mean(residual**2)):.3g}"),
     )
+
+
+def fit_halves(
+    time_s: Sequence[float] | Float64,
+    curvature_per_m: Sequence[float] | Float64,
+    egain_percent: float,
+    frequency_hz: float,
+    rest_curvature_per_m: float,
+) -> HalvesProfile:
+    """Fit the paper's form to one measured cycle, each half by itself, through its measured ends.
+
+    Args:
+        rest_curvature_per_m: of the robot's limbs, without its sign, 1/m; at least the largest measured.
+
+    The other arguments and the errors are those of ``fit_profile``.
+
+    Source: Huang 2022, Eq. 9. That the halves meet, and end where the measurement does, was found from the
+    published simulations: their speed has a kink, and no jump, at the time of the lowest measured curvature.
+    """
+    from scipy.optimize import least_squares
+
+    name = f"profile at {egain_percent:g} % EGaIn, {frequency_hz:g} Hz"
+    t, k = _measured_cycle(time_s, curvature_per_m, name)
+    if float(k.max()) > rest_curvature_per_m:
+        raise InputError(
+            f"{name} is {k.max():.4g} 1/m at most, the robot's limbs {rest_curvature_per_m:g} 1/m at rest: "
+            "give the limbs a rest curvature of at least that"
+        )
+    lowest, end = int(k.argmin()), float(t[-1])
+    halfway = lowest + int(np.argmax(k[lowest:] > 0.5 * (k[lowest] + k[0])))
+    amplitudes, centres, widths = list[float](), list[float](), list[float]()
+    for part, centre_s, width_s, narrowest_s in (
+        (slice(0, lowest + 1), 0.5 * t[lowest], 0.01, 0.001),
+        (slice(lowest, None), t[halfway], 0.05, 0.004),
+    ):
+        at, seen = t[part], k[part]
+        change = float(seen[-1] - seen[0])
+
+        def missed(shape: Float64, at: Float64 = at, seen: Float64 = seen, change: float = change) -> Float64:
+            return np.asarray(seen[0] + change * _rise(at, at[0], at[-1], *shape) - seen)
+
+        fit = least_squares(missed, [centre_s, width_s], bounds=([0.0, narrowest_s], [2.0 * end, 2.0 * end]))
+        for known, value in zip((amplitudes, centres, widths), (change, *fit.x), strict=True):
+            known.append(float(f"{value:.6g}"))
+    profile = HalvesProfile(
+        egain_percent=float(egain_percent),
+        frequency_hz=float(frequency_hz),
+        duration_s=float(f"{end:.9g}"),
+        rest_curvature_per_m=float(rest_curvature_per_m),
+        amplitude_per_m=tuple(amplitudes),
+        centre_s=tuple(centres),
+        width_s=tuple(widths),
+        rms_per_m=0.0,
+        start_per_m=float(f"{k[0]:.6g}"),
+        straightest_s=float(f"{t[lowest]:.9g}"),
+    )
+    residual = profile.curvature_per_m(t) - k
+    return replace(profile, rms_per_m=float(f"{np.sqrt(np.mean(residual**2)):.3g}"))
 
 
 def _known_hz(profile: Profile) -> float:
@@ -191,13 +298,15 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
             if weight > 0.0:
                 profile = next(p for p in profiles if p.egain_percent == egain and _known_hz(p) == hz)
                 chosen.append((egain_weight * weight, profile))
-    end = chosen[0][1].duration_s if len(chosen) == 1 else 1.0 / wanted_hz
+    halves = any(isinstance(profile, HalvesProfile) for _, profile in chosen)
+    end = chosen[0][1].duration_s if len(chosen) == 1 and not halves else 1.0 / wanted_hz
     count = int(np.ceil(end / SAMPLE_S)) + 1
     time_s = np.linspace(0.0, end, count)
     drops = np.zeros(count)
     for weight, profile in chosen:
         drops += weight * (profile.rest_curvature_per_m - profile.curvature_per_m(time_s))
-    drops -= drops[-1] * time_s / end
+    if not halves:
+        drops -= drops[-1] * time_s / end
     drops = np.maximum(drops, 0.0)  # fits overshoot by up to 0.9 1/m; rest is the most curled state
     largest = float(drops.max())
     return Actuation(end, end / (count - 1), largest, drops / largest)

@@ -98,7 +98,7 @@ def _compared(result: dict[str, Any]) -> str:
 
 def validate(
     data_dir: Annotated[Path, typer.Argument(help="Folder of the paper's data: sim/, exp/, profile/.")],
-    robot: opt.RobotFile = "frog2022",
+    robot: opt.RobotFile = "frog2022-sim",
     report: Annotated[Path | None, "HTML report to write."] = None,
     left_out: Annotated[
         bool, "Match the robot's constants again with each EGaIn fraction held out; this takes minutes."

@@ -135,7 +135,7 @@ class Validated:
 @typed
 def validate(
     data_dir: Path | str,
-    robot: Robot | str = "frog2022",
+    robot: Robot | str = "frog2022-sim",
     *,
     left_out: bool = False,
     workers: int | None = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.der import Batch, Failure, Rods
 from frogkick.effects import rods_of
-from frogkick.effects.swims import Gait, SwimTrace, simulate_gait_traces
+from frogkick.effects.swims import Gait, SwimTrace, gait_rods, simulate_gait_traces
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
@@ -71,10 +71,11 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     swum: Swum = [stroke if isinstance(stroke, str) else "" for stroke in strokes]
     ready = [(k, gaits[k], stroke) for k, stroke in enumerate(strokes) if not isinstance(stroke, str)]
     ready.sort(key=lambda row: row[1].frequency_hz)  # lanes that last equally long keep each other busy
-    some = [replace(rods, actuation=stroke) for _, _, stroke in ready]
-    traces = simulate_gait_traces(some, [gait for _, gait, _ in ready], cycles)
-    for (place, gait, _), trace in zip(ready, traces, strict=True):
-        swum[place] = _swim(rods.robot, gait, trace)
+    some = [gait for _, gait, _ in ready]
+    lanes = gait_rods(rods, some, [stroke for _, _, stroke in ready])
+    traces = simulate_gait_traces(lanes, some, cycles)
+    for (place, gait, _), lane, trace in zip(ready, lanes, traces, strict=True):
+        swum[place] = _swim(lane.robot, gait, trace)
     return swum
 
 

@@ -8,6 +8,7 @@ fraction, and the errors are those on the fraction that was left out.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -16,6 +17,7 @@ import numpy as np
 from frogkick.core.arrays import Bool, Float64
 from frogkick.core.errors import InputError
 from frogkick.robot import Limb, Robot
+from frogkick.robot.profile import HalvesProfile
 from frogkick.validation.gaits import GaitSwim
 from frogkick.validation.validate import Validation, by_group, model_wave, root_mean_square, swum_of
 
@@ -38,7 +40,7 @@ def _limbs(change: Callable[[Limb, float], Limb]) -> Change:
     return lambda robot, by: replace(robot, limbs=tuple(change(limb, by) for limb in robot.limbs))
 
 
-CONSTANTS: Mapping[str, Change] = {
+_COMMON: Mapping[str, Change] = {
     "frame mass": lambda robot, by: replace(
         robot, frame=replace(robot.frame, mass_per_length_kg_per_m=robot.frame.mass_per_length_kg_per_m * by)
     ),
@@ -51,12 +53,36 @@ CONSTANTS: Mapping[str, Change] = {
     "limb mass": _limbs(
         lambda limb, by: replace(limb, mass_per_length_kg_per_m=limb.mass_per_length_kg_per_m * by)
     ),
+}
+CONSTANTS: Mapping[str, Change] = {
+    **_COMMON,
     "limb curvature": _limbs(
         lambda limb, by: replace(limb, rest_curvature_per_m=limb.rest_curvature_per_m * by)
     ),
 }
 """The matched constants. The frame's drag is the paper's: masses, drags and stiffnesses that all grow by one
 factor give the same motion."""
+
+ABSOLUTE_CONSTANTS: Mapping[str, Change] = {
+    **_COMMON,
+    "EGaIn's mass": _limbs(lambda limb, by: replace(limb, egain_mass_ratio=limb.egain_mass_ratio * by)),
+    "limb length": _limbs(lambda limb, by: replace(limb, length_m=limb.length_m * by)),
+    # the angle from backward to a limb's root
+    "limb direction": _limbs(
+        lambda limb, by: replace(
+            limb,
+            direction_rad=limb.direction_rad
+            - (by - 1.0) * (math.copysign(math.pi, limb.direction_rad) - limb.direction_rad),
+        )
+    ),
+}
+"""Those of a robot whose profiles are curvatures themselves: its limbs' rest curvature has no effect."""
+
+
+def constants_of(robot: Robot) -> Mapping[str, Change]:
+    """Return the constants that are matched for a robot."""
+    absolute = all(isinstance(profile, HalvesProfile) for profile in robot.profiles)
+    return ABSOLUTE_CONSTANTS if absolute else CONSTANTS
 
 
 @dataclass(frozen=True)
@@ -92,7 +118,7 @@ def matched_without(
     cases = [result.case for result in validation.simulations]
     known = np.array([result.reference.speed_mps for result in validation.simulations])
     fraction = np.array([case.gait.egain_percent for case in cases])
-    every = np.unique(fraction)
+    every, constants = np.unique(fraction), constants_of(validation.robot)
     if len(every) < 2:
         raise InputError(
             f"simulations of {len(every)} EGaIn fractions, needed are 2 to leave one out: give sim/ with more"
@@ -100,7 +126,7 @@ def matched_without(
 
     def swum_with(factors: Float64, rows: Bool) -> list[GaitSwim]:
         robot = validation.robot
-        for change, factor in zip(CONSTANTS.values(), factors.tolist(), strict=True):
+        for change, factor in zip(constants.values(), factors.tolist(), strict=True):
             robot = change(robot, factor)
         gaits = [cases[k].gait for k in np.flatnonzero(rows)]
         swum, failed = swum_of(robot, validation.profiles, set(gaits), workers, None)
@@ -120,7 +146,7 @@ def matched_without(
         rows = fraction != percent
         fit = least_squares(
             residual,
-            np.ones(len(CONSTANTS)),
+            np.ones(len(constants)),
             bounds=FACTORS,
             diff_step=STEP,
             max_nfev=STEPS_MOST,
@@ -134,7 +160,7 @@ def matched_without(
         parts.append(
             LeftOut(
                 float(percent),
-                dict(zip(CONSTANTS, fit.x.tolist(), strict=True)),
+                dict(zip(constants, fit.x.tolist(), strict=True)),
                 root_mean_square((SPEED_SD_MPS * fit.fun[: rows.sum()]).tolist()),
                 root_mean_square(errors_mps[~rows].tolist()),
             )

@@ -26,7 +26,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.effects.swims import Gait
 from frogkick.robot import Profile, fit_profile
-from frogkick.robot.profile import read_mat
+from frogkick.robot.profile import HalvesProfile, fit_halves, read_mat
 
 SIMULATIONS = "simulations"
 EXPERIMENTS = "experiments"
@@ -218,10 +218,14 @@ def read_speeds(path: Path) -> list[tuple[Gait, float]]:
 def read_profiles(folder: Path, cached: Sequence[Profile]) -> tuple[Profiles, list[Skipped]]:
     """Fit the profiles of ``folder``; cached coefficients are used where it has no file.
 
+    Args:
+        cached: those of a robot; files are fitted in the same form, the paper's or the smooth one.
+
     Returns:
         The profiles, and the files that could not be used.
     """
     chosen = {(profile.egain_percent, profile.frequency_hz): profile for profile in cached}
+    halves = all(isinstance(profile, HalvesProfile) for profile in cached)
     measured: set[tuple[float, float]] = set()
     skipped: list[Skipped] = []
     for file in sorted(folder.glob("*/*.mat")):
@@ -232,7 +236,12 @@ def read_profiles(folder: Path, cached: Sequence[Profile]) -> tuple[Profiles, li
             skipped.append(Skipped(relative, "not named <EGaIn/10>/<10 frequency>.mat"))
             continue
         try:
-            chosen[key] = fit_profile(*read_mat(file, "mean"), *key)
+            rows = read_mat(file, "mean")
+            chosen[key] = (
+                fit_halves(*rows, *key, cached[0].rest_curvature_per_m)
+                if halves
+                else fit_profile(*rows, *key)
+            )
         except InputError as error:
             skipped.append(Skipped(relative, str(error)))
             continue

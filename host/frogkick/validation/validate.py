@@ -230,7 +230,7 @@ def swum_of(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[Gait, GaitSwim], dict[Gait, str]]:
     """Swim each gait once; return the swims, and the reasons of failures."""
-    ordered = sorted(gaits, key=lambda gait: (gait.frequency_hz, gait.egain_percent, gait.phase))
+    ordered = sorted(gaits, key=lambda gait: (gait.egain_percent, gait.frequency_hz, gait.phase))
     chunks = [ordered[first : first + WIDTH] for first in range(0, len(ordered), WIDTH)]
     swum: dict[Gait, GaitSwim] = {}
     failed: dict[Gait, str] = {}

@@ -33,15 +33,9 @@ COARSEST_AT_REST = 12.0  # the same while no stroke lasts
 SHARP_PER_S2 = 600.0  # second derivative of the activation from which on steps are the finest
 ROUNDING = 1e-6  # samples of a stroke: a step that ends with it is evaluated at its last one
 SLIVER = 0.1  # of the finest step: kinks that are closer together count as one
-RINGS_S = (
-    0.8  # the frame oscillates for this time after a stroke starts; with 0.6, 2 of 192 gaits err by 0.2 %
-)
-COARSEST_WHILE_IT_RINGS = (
-    2.0  # longest step over the finest within RINGS_S; with 3, four gaits err by as much
-)
-COARSEST_OF_PLATES = (
-    6.0  # longest step over the finest with plates, which ring at 20 Hz: Newton diverges beyond
-)
+RINGS_S = 0.8  # the frame oscillates so long after a stroke starts; with 0.6, 2 of 192 gaits err by 0.2 %
+COARSEST_WHILE_IT_RINGS = 2.0  # longest step over the finest within RINGS_S; with 3, four gaits err as much
+COARSEST_OF_PLATES = 6.0  # the same with plates, which ring at 20 Hz: Newton's method diverges beyond
 AHEAD_S, BEHIND_S = 0.008, 0.016  # steps are fine so long before and after a large second derivative
 
 

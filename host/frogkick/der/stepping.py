@@ -65,17 +65,27 @@ class Scheme(NamedTuple):
 _SHARE = 1.0 - ALPHA_F
 SCHEMES = {
     "generalised-alpha": Scheme(
-        _SHARE,
-        _SHARE * GAMMA / BETA,
-        1.0 - _SHARE * GAMMA / BETA,
-        _SHARE * (1.0 - 0.5 * GAMMA / BETA),
-        (1.0 - ALPHA_M) / BETA,
-        1.0 - (1.0 - ALPHA_M) * 0.5 / BETA,
-        BETA,
-        1.0 - 0.5 / BETA,
-        GAMMA,
+        share=_SHARE,
+        velocity_of_move=_SHARE * GAMMA / BETA,
+        velocity_kept=1.0 - _SHARE * GAMMA / BETA,
+        velocity_of_acceleration=_SHARE * (1.0 - 0.5 * GAMMA / BETA),
+        mass_of_move=(1.0 - ALPHA_M) / BETA,
+        acceleration_balanced=1.0 - (1.0 - ALPHA_M) * 0.5 / BETA,
+        beta=BETA,
+        acceleration_kept=1.0 - 0.5 / BETA,
+        gamma=GAMMA,
     ),
-    "backward-euler": Scheme(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0),
+    "backward-euler": Scheme(
+        share=1.0,
+        velocity_of_move=1.0,
+        velocity_kept=0.0,
+        velocity_of_acceleration=0.0,
+        mass_of_move=1.0,
+        acceleration_balanced=0.0,
+        beta=1.0,
+        acceleration_kept=0.0,
+        gamma=1.0,
+    ),
 }
 """By the value of a robot file's ``integrator``."""
 

@@ -33,9 +33,8 @@ from frogkick.robot import Action, Robot
 LEG_S = 0.02
 """Zero-order hold: flows and wrenches are constant for this time, and are then evaluated again."""
 
-_APART_M = (
-    0.01  # the flow's gradient is a finite difference between points so far on either side of the centre
-)
+_APART_M = 0.01
+"""The flow's gradient is a finite difference between points so far on either side of the centre."""
 
 
 @typed

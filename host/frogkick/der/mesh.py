@@ -6,7 +6,8 @@ A mesh is constant, so any number of swimmers, lanes or processes can share it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float64, Int32, dot
 from frogkick.der.solve import SymbolicFactorisation, factorise_symbolically
-from frogkick.robot import Actuation, Robot
+from frogkick.robot import Actuation, Frame, Limb, Robot
 
 
 class Mesh(NamedTuple):
@@ -75,17 +76,105 @@ def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: floa
     return Rods(robot, mesh, symbolic, robot.actuation(egain_percent, frequency_hz))
 
 
-def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:
-    """Return the nodes round the polygon, and the indices of its corners."""
-    points: list[tuple[float, float]] = []
-    corners: list[int] = []
-    for i, (x, y) in enumerate(robot.frame.corners_m):
-        x2, y2 = robot.frame.corners_m[(i + 1) % len(robot.frame.corners_m)]
-        corners.append(len(points))
-        for j in range(robot.frame.segments[i]):
-            share = j / robot.frame.segments[i]
-            points.append((x + share * (x2 - x), y + share * (y2 - y)))
-    return points, corners
+class _Edge(NamedTuple):
+    """An edge and what it is made of. Its drag is per length: width times coefficient."""
+
+    nodes: tuple[int, int]
+    stiffness_n: float
+    mass_kg_per_m: float = 0.0
+    drag_normal_m: float = 0.0
+    drag_tangential_m: float = 0.0
+
+
+class _Bend(NamedTuple):
+    """Three nodes with a bending energy between their two edges."""
+
+    nodes: tuple[int, int, int]
+    stiffness_n_m2: float
+    active_gain: float = 0.0
+    limb: int = -1  # whose activation acts on it; -1: none
+    natural_per_m: float | None = None  # None: as drawn
+
+
+@dataclass
+class _Parts:
+    """Nodes, edges and bends of a robot, which are added part by part."""
+
+    points: list[tuple[float, float]] = field(default_factory=list)  # m, body frame
+    edges: list[_Edge] = field(default_factory=list)
+    bends: list[_Bend] = field(default_factory=list)
+    plates: list[tuple[int, float, float]] = field(default_factory=list)  # edge, kg at each end, kg/m shed
+    order: list[int] = field(default_factory=list)  # in which the solver eliminates nodes
+
+    def add_frame(self, frame: Frame) -> list[int]:
+        """Add the polygon; return the nodes at its corners."""
+        corners: list[int] = []
+        for i, (x, y) in enumerate(frame.corners_m):
+            x2, y2 = frame.corners_m[(i + 1) % len(frame.corners_m)]
+            corners.append(len(self.points))
+            for j in range(frame.segments[i]):
+                share = j / frame.segments[i]
+                self.points.append((x + share * (x2 - x), y + share * (y2 - y)))
+        count = len(self.points)
+        mass = (frame.mass_per_length_kg_per_m + frame.added_mass_per_length_kg_per_m) * (
+            1.0 - frame.centre_mass_share
+        )
+        for i in range(count):
+            after = (i + 1) % count
+            self.edges.append(
+                _Edge(
+                    (i, after),
+                    frame.stretching_stiffness_n,
+                    mass,
+                    frame.drag_width_m * frame.drag_normal,
+                    frame.drag_width_m * frame.drag_tangential,
+                )
+            )
+            self.bends.append(_Bend(((i - 1) % count, i, after), frame.bending_stiffness_n_m2))
+        return corners
+
+    def add_limb(self, limb: Limb, index: int, root: int, clamp: int) -> None:
+        """Add a limb from its root, whose bend includes the frame's node next to it on one side."""
+        step = limb.length_m / limb.segments
+        turn = 2.0 * math.atan(0.5 * limb.rest_curvature_per_m * step)
+        bending = limb.modulus_rest_pa * limb.second_moment_m4
+        nodes = [root, *range(len(self.points), len(self.points) + limb.segments)]
+        x, y = self.points[root]
+        for j in range(limb.segments):
+            angle = limb.direction_rad + (j + 0.5) * turn  # chords of an arc whose tangent starts there
+            x, y = x + step * math.cos(angle), y + step * math.sin(angle)
+            self.points.append((x, y))
+        if limb.plate_mass_per_length_kg_per_m > 0.0:
+            water = limb.plate_mass_per_length_kg_per_m
+            shed = [0.0] * (limb.segments - 1) + [water * limb.tip_shedding]
+            first = len(self.edges)
+            self.plates += [(first + j, 0.5 * water * step, shed[j]) for j in range(limb.segments)]
+        self.edges += [
+            _Edge(
+                pair,
+                limb.modulus_rest_pa * limb.section_m2,
+                limb.mass_per_length_kg_per_m + limb.added_mass_per_length_kg_per_m,
+                limb.drag_width_m * limb.drag_normal,
+                limb.drag_width_m * limb.drag_tangential,
+            )
+            for pair in pairwise(nodes)
+        ]
+        self.bends.append(_Bend((clamp, root, nodes[1]), limb.root_stiffness_ratio * bending))
+        gain = limb.modulus_active_pa / limb.modulus_rest_pa - 1.0
+        self.bends += [
+            _Bend((nodes[j - 1], nodes[j], nodes[j + 1]), bending, gain, index, limb.rest_curvature_per_m)
+            for j in range(1, limb.segments)
+        ]
+        self.order += nodes[:0:-1]  # tip to root: each node then couples to two others only
+
+    def add_centre_mass(self, frame: Frame, corners: Sequence[int]) -> None:
+        """Add a node within the frame. Stiff spokes without weight hold it; it resists no turn."""
+        self.order.append(len(self.points))
+        for corner in corners:
+            self.edges.append(_Edge((len(self.points), corner), frame.stretching_stiffness_n))
+        middle = np.mean([self.points[corner] for corner in corners], axis=0)
+        x, y = (middle + frame.centre_mass_at_m).tolist()
+        self.points.append((x, y))
 
 
 def turning_curvature(rest_m: Float64, nodes: tuple[int, int, int]) -> tuple[float, float]:
@@ -106,100 +195,52 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
     Source: Huang 2022, section on 2D discrete elastic rods: a corner joins three edges and carries two
     bending energies, the frame's own and the limb's root.
     """
-    frame = robot.frame
-    points, corners = _frame_points(robot)
-    n_frame = len(points)
-    edges = [(i, (i + 1) % n_frame) for i in range(n_frame)]
-    bends = [((i - 1) % n_frame, i, (i + 1) % n_frame) for i in range(n_frame)]
-    rows: list[tuple[float, ...]] = [
-        (
-            frame.stretching_stiffness_n,
-            (frame.mass_per_length_kg_per_m + frame.added_mass_per_length_kg_per_m)
-            * (1.0 - frame.centre_mass_share),
-            frame.drag_width_m * frame.drag_normal,
-            frame.drag_width_m * frame.drag_tangential,
-        )
-    ] * len(edges)
-    stiffness = [frame.bending_stiffness_n_m2] * len(bends)
-    gain = [0.0] * len(bends)
-    bend_limb = [-1] * len(bends)
-    limb_curvature: dict[int, float] = {}
-    order: list[int] = []
-    plates: list[tuple[int, float, float]] = []  # edge, kg at each end, kg/m shed
-    for index, light in enumerate(robot.limbs):
-        limb = light.with_egain(robot.egain_percent)
+    frame, parts = robot.frame, _Parts()
+    corners = parts.add_frame(frame)
+    n_frame = len(parts.points)
+    for index, limb in enumerate(robot.limbs):
         root = corners[limb.corner]
-        step = limb.length_m / limb.segments
-        turn = 2.0 * math.atan(0.5 * limb.rest_curvature_per_m * step)
-        bending = limb.modulus_rest_pa * limb.second_moment_m4
-        nodes = [root, *range(len(points), len(points) + limb.segments)]
-        x, y = points[root]
-        for j in range(limb.segments):
-            angle = limb.direction_rad + (j + 0.5) * turn  # chords of an arc whose tangent starts there
-            x, y = x + step * math.cos(angle), y + step * math.sin(angle)
-            points.append((x, y))
-        if limb.plate_mass_per_length_kg_per_m > 0.0:
-            water = limb.plate_mass_per_length_kg_per_m
-            shed = [0.0] * (limb.segments - 1) + [water * limb.tip_shedding]
-            plates += [(len(edges) + j, 0.5 * water * step, shed[j]) for j in range(limb.segments)]
-        edges += list(pairwise(nodes))
-        rows += [
-            (
-                limb.modulus_rest_pa * limb.section_m2,
-                limb.mass_per_length_kg_per_m + limb.added_mass_per_length_kg_per_m,
-                limb.drag_width_m * limb.drag_normal,
-                limb.drag_width_m * limb.drag_tangential,
-            )
-        ] * limb.segments
         clamp = (root + (1 if limb.clamp == "next" else -1)) % n_frame
-        bends.append((clamp, root, nodes[1]))
-        stiffness.append(limb.root_stiffness_ratio * bending)
-        gain.append(0.0)
-        bend_limb.append(-1)
-        for j in range(1, limb.segments):
-            limb_curvature[len(bends)] = limb.rest_curvature_per_m
-            bends.append((nodes[j - 1], nodes[j], nodes[j + 1]))
-            stiffness.append(bending)
-            gain.append(limb.modulus_active_pa / limb.modulus_rest_pa - 1.0)
-            bend_limb.append(index)
-        order += nodes[:0:-1]  # tip to root: each node then couples to two others only
-    order += list(range(n_frame))
-    if frame.centre_mass_share > 0.0:  # held by stiff spokes without weight, it resists no turn
-        order.append(len(points))
-        edges += [(len(points), corner) for corner in corners]
-        rows += [(frame.stretching_stiffness_n, 0.0, 0.0, 0.0)] * len(corners)
-        centre = np.mean([points[corner] for corner in corners], axis=0) + frame.centre_mass_at_m
-        points.append(tuple(centre.tolist()))
-    rest = np.array(points, dtype=np.float64)
-    ends = np.array(edges, dtype=np.int32)
-    length = np.hypot(*(rest[ends[:, 1]] - rest[ends[:, 0]]).T)
-    material = np.array(rows, dtype=np.float64)
-    mass = np.zeros(len(points))
-    np.add.at(mass, ends.ravel(), np.repeat(0.5 * material[:, 1] * length, 2))
+        parts.add_limb(limb.with_egain(robot.egain_percent), index, root, clamp)
+    parts.order += list(range(n_frame))
     if frame.centre_mass_share > 0.0:
-        outline_kg = dot(material[:n_frame, 1], length[:n_frame])
+        parts.add_centre_mass(frame, corners)
+    edges, bends = parts.edges, parts.bends
+    rest = np.array(parts.points, dtype=np.float64)
+    ends = np.array([edge.nodes for edge in edges], dtype=np.int32)
+    length = np.hypot(*(rest[ends[:, 1]] - rest[ends[:, 0]]).T)
+    mass_per_m = np.array([edge.mass_kg_per_m for edge in edges])
+    mass = np.zeros(len(rest))
+    np.add.at(mass, ends.ravel(), np.repeat(0.5 * mass_per_m * length, 2))
+    if frame.centre_mass_share > 0.0:
+        outline_kg = dot(mass_per_m[:n_frame], length[:n_frame])
         mass[-1] += outline_kg * frame.centre_mass_share / (1.0 - frame.centre_mass_share)
-    curvature = [turning_curvature(rest, bend) for bend in bends]
-    natural = [limb_curvature.get(b, curvature[b][0]) for b in range(len(bends))]
-    edge_of = {pair: (k, 1.0) for k, pair in enumerate(edges)}
-    edge_of |= {(j, i): (k, -1.0) for k, (i, j) in enumerate(edges)}
-    sides = [(edge_of[a, b], edge_of[b, c]) for a, b, c in bends]
-    limb_of = np.array(bend_limb, dtype=np.int32)
+    curvature = [turning_curvature(rest, bend.nodes) for bend in bends]
+    natural = [
+        drawn if bend.natural_per_m is None else bend.natural_per_m
+        for bend, (drawn, _) in zip(bends, curvature, strict=True)
+    ]
+    edge_of = {edge.nodes: (k, 1.0) for k, edge in enumerate(edges)}
+    edge_of |= {(j, i): (k, -1.0) for k, ((i, j), *_) in enumerate(edges)}
+    sides = [(edge_of[a, b], edge_of[b, c]) for (a, b, c), *_ in bends]
+    limb_of = np.array([bend.limb for bend in bends], dtype=np.int32)
     weakest = min(limb.modulus_rest_pa * limb.second_moment_m4 / limb.length_m**2 for limb in robot.limbs)
+    # Density / 2, for the half of an edge at each of its ends.
+    quarter = 0.25 * robot.water_density_kg_per_m3
     mesh = Mesh(
         frame_nodes=n_frame,
         rest_m=rest - np.einsum("n,nc->c", mass, rest) / mass.sum(),
         mass_kg=mass,
         edge_nodes=ends,
         edge_length_m=np.ascontiguousarray(length),
-        edge_stiffness_n=np.ascontiguousarray(material[:, 0]),
-        edge_drag_normal=0.25 * robot.water_density_kg_per_m3 * material[:, 2] * length,
-        edge_drag_tangential=0.25 * robot.water_density_kg_per_m3 * material[:, 3] * length,
+        edge_stiffness_n=np.array([edge.stiffness_n for edge in edges]),
+        edge_drag_normal=quarter * np.array([edge.drag_normal_m for edge in edges]) * length,
+        edge_drag_tangential=quarter * np.array([edge.drag_tangential_m for edge in edges]) * length,
         drag_by_speed=robot.drag_law == "speed",
-        bend_nodes=np.array(bends, dtype=np.int32),
+        bend_nodes=np.array([bend.nodes for bend in bends], dtype=np.int32),
         bend_length_m=np.array([dl for _, dl in curvature]),
-        bend_stiffness_n_m2=np.array(stiffness),
-        bend_active_gain=np.array(gain),
+        bend_stiffness_n_m2=np.array([bend.stiffness_n_m2 for bend in bends]),
+        bend_active_gain=np.array([bend.active_gain for bend in bends]),
         bend_natural_per_m=np.array(natural),
         edge_inverse_per_m=1.0 / length,
         bend_edges=np.array([(e, f) for (e, _), (f, _) in sides], dtype=np.int32),
@@ -207,8 +248,8 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
         bend_curl=np.where(limb_of >= 0, np.sign(natural), 0.0),
         bend_column=2 * np.where(limb_of >= 0, limb_of, len(robot.limbs)).astype(np.int32),
         force_scale_n=float(weakest),
-        plate_edges=np.array([edge for edge, _, _ in plates], dtype=np.int32),
-        plate_kg=np.array([mass for _, mass, _ in plates], dtype=np.float64),
-        plate_shed_kg_per_m=np.array([shed for _, _, shed in plates], dtype=np.float64),
+        plate_edges=np.array([edge for edge, _, _ in parts.plates], dtype=np.int32),
+        plate_kg=np.array([mass for _, mass, _ in parts.plates], dtype=np.float64),
+        plate_shed_kg_per_m=np.array([shed for _, _, shed in parts.plates], dtype=np.float64),
     )
-    return mesh, factorise_symbolically(len(points), mesh.edge_nodes, mesh.bend_nodes, order)
+    return mesh, factorise_symbolically(len(rest), mesh.edge_nodes, mesh.bend_nodes, parts.order)

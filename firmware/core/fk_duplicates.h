@@ -4,7 +4,8 @@
  *
  * A frame repeats a command if its sequence number and its CRC-32 (over type, sequence and payload) are those of one
  * that is kept. The last FK_DUPLICATES_KEPT commands that change something are kept, each for the next
- * FK_DUPLICATES_SPAN sequence numbers; after these the host may use the number again.
+ * FK_DUPLICATES_SPAN sequence numbers; after these the host may use the number again. Chunks of a table, of which there
+ * are hundreds, have places of their own: an ARM that comes again behind them must still be known.
  */
 #ifndef FK_DUPLICATES_H
 #define FK_DUPLICATES_H
@@ -14,6 +15,7 @@
 #include "fk_frames.h"
 
 #define FK_DUPLICATES_KEPT 32u
+#define FK_DUPLICATES_CHUNKS 8u /* a host has at most 4 of them under way */
 #define FK_DUPLICATES_SPAN 127u
 #define FK_DUPLICATES_ANSWER_BYTES 12u
 
@@ -32,8 +34,9 @@ typedef struct {
 } fk_duplicate_t;
 
 typedef struct {
-    fk_duplicate_t kept[FK_DUPLICATES_KEPT];
-    uint32_t next; /* entry of the next one, which is also the oldest */
+    fk_duplicate_t kept[FK_DUPLICATES_KEPT + FK_DUPLICATES_CHUNKS]; /* chunks of a table behind all others */
+    uint32_t next;       /* entry of the next one, which is also the oldest */
+    uint32_t next_chunk; /* the same of the next chunk */
     uint8_t newest; /* most advanced sequence number */
 } fk_duplicates_t;
 

@@ -5,6 +5,7 @@
 void fk_estimator_init(fk_estimator_t *estimator, fk_tables_t *tables, uint8_t learn)
 {
     fk_track_init(&estimator->track, tables, learn);
+    estimator->restarts = 0u;
     fk_estimator_restart(estimator);
 }
 
@@ -16,7 +17,6 @@ void fk_estimator_restart(fk_estimator_t *estimator)
     }
     estimator->next_mark = 0u;
     estimator->outlier_count = 0u;
-    estimator->restarts = 0u;
     estimator->newest_us = 0u;
     estimator->newest_sequence = 0u;
     estimator->fixes = 0u;

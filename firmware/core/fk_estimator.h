@@ -39,7 +39,7 @@ typedef struct {
     uint64_t newest_us;           /* capture time of the newest accepted fix */
     fk_fix_t outliers[FK_OUTLIERS_MAX]; /* outlier buffer: consecutive fixes outside the gate that agree */
     uint32_t marks[FK_FIX_MARKS]; /* duplicate filter: hashes of the latest fixes; 0: none */
-    uint32_t restarts;            /* how often outliers have reset the pose */
+    uint32_t restarts;            /* how often outliers have reset the pose since fk_estimator_init() */
     uint16_t newest_sequence;
     uint8_t action;
     uint8_t action_waits;         /* 1: the last action is not predicted yet */
@@ -57,7 +57,7 @@ typedef struct {
 /* tables must outlive the estimator. */
 void fk_estimator_init(fk_estimator_t *estimator, fk_tables_t *tables, uint8_t learn);
 
-/* Forget everything but the estimate of wear. */
+/* Forget everything but the estimate of wear and the count of restarts. */
 void fk_estimator_restart(fk_estimator_t *estimator);
 
 /* Add a fix.

@@ -111,8 +111,10 @@ void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = s
  * is. */
 void fk_robot_use_tables(fk_robot_t *robot)
 {
+    const uint32_t restarts = robot->estimator.restarts; /* STATUS counts since boot */
     (void)fk_fit_open(robot->store->image, robot->store->image_bytes, &robot->tables);
     begin_with_tables(robot, robot->estimator.track.wear.learn);
+    robot->estimator.restarts = restarts;
 }
 
 /* Two durations were measured on the chip: the fixed part of a decision, and the most that each transition adds. A

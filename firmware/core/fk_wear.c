@@ -14,7 +14,7 @@
 #define FK_WEAR_LEAST 0.02f         /* plausible shares; above 1 the end of the curve is meant */
 #define FK_WEAR_MOST 1.3f
 #define FK_WEAR_RESTARTED 18.0f     /* what a share explains after a restart: twice the penalty, so that it is no longer
-                                       selected after 16 periods that say nothing of its limb */
+                                       selected after 17 periods that say nothing of its limb */
 #define FK_WEAR_GONE_BY 1.0f        /* by how much more squared error of a period a limb is taken to do nothing, or no longer */
 #define FK_WEAR_APART 1e-3f         /* share of an unknown's information that must be independent of the selected ones */
 

@@ -9,6 +9,7 @@ import pytest
 from tests.core.core import Robot, decode, encode
 from tests.core.store_rig import AT_REST_US, LATER, NEW, OLD, crc_of, robot_with_store
 
+from frogkick.link.frames import pack_frame
 from frogkick.link.layout import Value, link_layout
 
 
@@ -46,6 +47,41 @@ def test_an_update_by_frames() -> None:
     robot.tick(robot.now_us + 1000)
     assert robot.status("TABLE_ROLLBACK", {"table_crc": crc_of(OLD)}) == "OK"
     assert robot.ask("HELLO")["table_crc"] == crc_of(OLD)
+    assert flash.sim.refused == 0
+
+
+@pytest.mark.parametrize("between", ["another table", "LEARN OFF"])
+def test_what_is_counted_since_boot_survives(between: str) -> None:
+    """The estimator begins anew with either."""
+    robot, _ = robot_with_store()
+    for x_m in (0.1, 0.4, 0.401, 0.402):
+        robot.fix(x_m)
+    before = robot.ask("STATUS")
+    assert (before["restarts"], before["fixes_used"], before["fixes_refused"]) == (1, 2, 2)
+    if between == "another table":
+        send(robot, NEW)
+        assert robot.status("TABLE_COMMIT") == "OK"
+    else:
+        off: dict[str, Value] = {"parameter": link_layout().parameter["LEARN"], "value": 0.0}
+        assert robot.status("PARAM", off) == "OK"
+    assert robot.ask("STATUS") == before
+
+
+def test_a_command_that_comes_again_behind_a_whole_table_acts_once() -> None:
+    """A radio delivers an ARM again behind the 44 chunks of a table: they had displaced it, and the robot armed itself."""
+    robot, flash = robot_with_store()
+    arm = pack_frame("ARM", "command", 1, {})[:-1]
+    robot._sequence = 1
+    robot.raw(arm)
+    assert robot.status("DISARM") == "OK"
+    robot.tick(robot.now_us + 1000)
+    chunks = -(-len(NEW) // 128)
+    send(robot, NEW)
+    assert robot.status("TABLE_COMMIT") == "OK"
+    assert 32 < chunks and robot._sequence < 127, "still to be known by what link.md says"
+    robot.raw(arm)
+    robot.take()
+    assert robot.state() == "DISARMED"
     assert flash.sim.refused == 0
 
 

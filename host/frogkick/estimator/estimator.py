@@ -71,12 +71,13 @@ class Estimator:
     def __init__(self, tables: Tables) -> None:
         self.track = Track(tables)
         self._marks: deque[tuple[int, bytes]] = deque(maxlen=MARKS)
+        self.restarts = 0  # resets to outliers that agree with each other
         self.restart()
 
     def restart(self) -> None:
-        """Forget all but what the limbs have lost, as a robot does at PARAM LEARN OFF or HELD."""
+        """Forget all but the count of restarts and what the limbs have lost, as a robot does at PARAM LEARN OFF or HELD."""
         self.track.restart()
-        self.restarts, self._fixes = 0, 0  # restarts: resets to outliers that agree with each other
+        self._fixes = 0
         self._newest: _Fix | None = None
         self._outliers: list[_Fix] = []
         self._marks.clear()

@@ -122,13 +122,19 @@ uint64_t fk_guard_lost_us(const fk_guard_t *guard)
     return (guard->fix_us == 0u) ? 0u : guard->fix_us + FK_FIX_LOST_US + 1u;
 }
 
-/* How long the limb is on within the duty window that ends at until_us. Of all windows the fullest end with a
- * pulse, and fk_guard_allow() tests the one that ends with each new pulse. On the pins an old pulse may be late
- * and the new one on time, so the window here reaches back FK_PORT_LATE_US further. */
+/* Where the duty window begins that ends at until_us. Of all windows the fullest end with a pulse, and fk_guard_allow()
+ * tests the one that ends with each new pulse. On the pins an old pulse may be late and the new one on time, so the
+ * window here reaches back FK_PORT_LATE_US further. */
+static uint64_t window_from_us(uint64_t until_us)
+{
+    const uint64_t window_us = FK_DUTY_WINDOW_US + FK_PORT_LATE_US;
+    return (until_us > window_us) ? until_us - window_us : 0u;
+}
+
+/* How long the limb is on within that window. */
 static uint64_t on_time_us(const fk_guard_limb_t *limb, uint64_t until_us)
 {
-    uint64_t window_us = FK_DUTY_WINDOW_US + FK_PORT_LATE_US;
-    uint64_t from_us = (until_us > window_us) ? until_us - window_us : 0u;
+    const uint64_t from_us = window_from_us(until_us);
     uint64_t sum_us = 0u;
     for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
         uint64_t end_us = limb->start_us[i] + limb->on_us[i];
@@ -138,6 +144,13 @@ static uint64_t on_time_us(const fk_guard_limb_t *limb, uint64_t until_us)
         }
     }
     return sum_us;
+}
+
+/* Whether the entry that a new pulse would overwrite lies in the window that ends with it. Pulses that rest between each
+ * other have left it by then; entries that stand for heat from before a reset, side by side, may not have. */
+static int32_t is_full(const fk_guard_limb_t *limb, uint64_t until_us)
+{
+    return limb->start_us[limb->next] + limb->on_us[limb->next] > window_from_us(until_us);
 }
 
 static uint32_t last_entry(const fk_guard_limb_t *limb)
@@ -202,7 +215,7 @@ int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, 
         if (now_us < limb->off_us + FK_REST_MIN_US) {
             return 0;
         }
-        if (on_time_us(limb, end_us) + pulse_us > FK_DUTY_ON_MAX_US) {
+        if (is_full(limb, end_us) || on_time_us(limb, end_us) + pulse_us > FK_DUTY_ON_MAX_US) {
             return 0;
         }
     }

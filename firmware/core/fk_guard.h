@@ -112,7 +112,8 @@ int32_t fk_guard_is_sound(const fk_guard_t *guard);
  * @retval 1   allowed and entered
  * @retval 0   refused: no limb, or a pulse of 0 or more than FK_PULSE_MAX_US; less than FK_REST_MIN_US since a limb's
  *             last pulse; more than FK_DUTY_ON_MAX_US within FK_DUTY_WINDOW_US; more than FK_LIMBS_AT_ONCE_MAX limbs
- *             on at once; or a closed loop without a fix that is at most FK_FIX_FRESH_US old when the pins switch
+ *             on at once; a history that has no room before heat from before a reset has left the window; or a closed
+ *             loop without a fix that is at most FK_FIX_FRESH_US old when the pins switch
  * @retval -1  refused: the history is damaged
  */
 int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);

@@ -9,7 +9,7 @@ import pytest
 from tests.conftest import some
 from tests.core.core import FFI, LATE_US, Robot, cases, core, kept_of, library, mutated
 from tests.core.log_rig import Log
-from tests.core.test_core_guard import PULSE_MAX_US, REST_US, WINDOW_US, Guard
+from tests.core.test_core_guard import ON_MAX_US, PULSE_MAX_US, REST_US, WINDOW_US, Guard
 from tests.core.test_core_supervisor import LATE, state_and_fault
 
 from frogkick.link.layout import link_layout
@@ -193,3 +193,16 @@ def test_heat_that_firmware_with_longer_pulses_has_kept_is_all_counted() -> None
     assert Guard(short, kept_of([400_000, 390_000])).allow(0b10, 10_000, REST_US)
     assert not Guard(short, kept_of([400_000, 390_001])).allow(0b10, 10_000, REST_US)
     assert Guard(short, kept_of([0xFFFFFFFF])).allow(0b01, 10_000, 2 * WINDOW_US)
+
+
+@pytest.mark.parametrize("heat_us", [0, 36_000, 200_000, 380_000, 399_999])
+def test_kept_heat_counts_until_it_leaves_the_window_however_many_pulses_follow(heat_us: int) -> None:
+    """Of 380 ms, entered as 11 pulses, eight short ones overwrote 290 ms while they still counted: 470 ms in 5 s."""
+    short = library(mutated("fk_robot_config.h", "FK_PULSE_MAX_US 100000u", "FK_PULSE_MAX_US 10000u"))
+    guard = Guard(short, kept_of([heat_us]))
+    pulses = 0
+    for at_us in range(REST_US, WINDOW_US - 10_000, REST_US + 10_000 + LATE_US):
+        pulses += guard.allow(0b01, 10_000, at_us)
+    assert heat_us + pulses * 10_000 <= ON_MAX_US
+    assert pulses == 9 or heat_us > 0
+    assert all(guard.allow(0b01, 10_000, 10**7 + k * (REST_US + 10_000 + LATE_US)) for k in range(100))

@@ -197,7 +197,7 @@ def test_heat_that_firmware_with_longer_pulses_has_kept_is_all_counted() -> None
 
 @pytest.mark.parametrize("heat_us", [0, 36_000, 200_000, 380_000, 399_999])
 def test_kept_heat_counts_until_it_leaves_the_window_however_many_pulses_follow(heat_us: int) -> None:
-    """Of 380 ms, entered as 11 pulses, eight short ones overwrote 290 ms while they still counted: 470 ms in 5 s."""
+    """Of 380 ms eight short pulses overwrote 290 ms while they still counted: 470 ms in 5 s."""
     short = library(mutated("fk_robot_config.h", "FK_PULSE_MAX_US 100000u", "FK_PULSE_MAX_US 10000u"))
     guard = Guard(short, kept_of([heat_us]))
     pulses = 0

@@ -75,7 +75,7 @@ class Estimator:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all but restarts and what the limbs have lost, as a robot does at PARAM LEARN OFF or HELD."""
+        """Forget all but restarts and what the limbs have lost, as at PARAM LEARN OFF or HELD."""
         self.track.restart()
         self._fixes = 0
         self._newest: _Fix | None = None

@@ -145,7 +145,7 @@ def test_units_are_read(text: str, unit: tuple[float, float, float]) -> None:
     assert unit_of(text) == unit
 
 
-@pytest.mark.parametrize("text", ["", "mm", "m/", "m^x", "5", "m;s"])
+@pytest.mark.parametrize("text", ["", "mm", "m/", "m^x", "5", "m;s", "1/min"])
 def test_a_wrong_unit_is_refused(text: str) -> None:
     with pytest.raises(InputError):
         unit_of(text)

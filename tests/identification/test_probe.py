@@ -73,6 +73,27 @@ def test_a_method_of_a_users_effect_that_fails_is_named(tmp_path: Path, hook: st
         sensitivity_of_own(tmp_path / "bad.py")
 
 
+@pytest.mark.parametrize(
+    ("starts", "why"),
+    [
+        ("[{'sise': 0.5}]", "starts gave a value of 'sise' .did you mean 'size'..: its parameters are size"),
+        ("[{'size': 'big'}]", "starts gave size = 'big', needed is a number"),
+        ("[{'size': float('nan')}]", "starts gave size = nan, needed is a number"),
+        ("{'size': 0.5}", r"starts gave \{'size': 0.5\}, needed is a list .* as \[\{'size': 0.1\}\]"),
+        ("None", "starts gave None, needed is a list"),
+        ("({'size': 1 / 0} for _ in range(2))", "starts fails: ZeroDivisionError"),
+    ],
+)
+def test_wrong_starts_of_a_users_effect_are_named(tmp_path: Path, starts: str, why: str) -> None:
+    (tmp_path / "bad.py").write_text(
+        "from frogkick.effects import Effect, parameter\n\n\nclass Bad(Effect):\n"
+        "    size = parameter('1', 0.0, 1.0, 0.0)\n\n    def starts(self, low_m, high_m):\n"
+        f"        return {starts}\n"
+    )
+    with pytest.raises(InputError, match=f"effect 'Bad': {why}"):
+        sensitivity_of_own(tmp_path / "bad.py")
+
+
 def sensitivity_of_own(file: Path) -> None:
     """Derivatives by the effect in a user's file."""
     data, model = Data([make_swim([], 9, 6)], np.ones(6, dtype=bool)), Model(robot(), (), NOISE)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import GeneratorType
 from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
@@ -276,7 +277,8 @@ def call_hook(effect: Effect, hook: str, *given: Any) -> Any:
         InputError: the method is a user's own and fails.
     """
     try:
-        return getattr(effect, hook)(*given)
+        found = getattr(effect, hook)(*given)
+        return list(found) if isinstance(found, GeneratorType) else found
     except (Exception, SystemExit) as error:
         if isinstance(error, InputError) or type(effect).__module__.startswith("frogkick."):
             raise
@@ -305,6 +307,30 @@ def stroke_by(effect: Effect, stroke: Stroke, history: History, rng: np.random.G
 def fix_by(effect: Effect, fix: Fix, rng: np.random.Generator) -> Fix | None:
     """Return a fix as an effect changes it; InputError as by ``call_hook``, or for anything else."""
     return _of_kind(Fix, effect, "fix", fix, rng)
+
+
+def starts_by(effect: Effect, low_m: Float64, high_m: Float64) -> list[dict[str, float]]:
+    """Return an effect's starting values of a search.
+
+    Raises:
+        InputError: see ``call_hook``; or they are not finite values of its parameters.
+    """
+    found, known = call_hook(effect, "starts", low_m, high_m), [p.name for p in effect.parameters]
+    example = known[0] if known else "x_m"
+    if not isinstance(found, Sequence) or not all(isinstance(start, Mapping) for start in found):
+        raise InputError(
+            f"effect {effect.title!r}: starts gave {found!r}, needed is a list of values by parameter, as "
+            f"[{{{example!r}: 0.1}}]"
+        )
+    for name, value in [(name, start[name]) for start in found for name in start]:
+        if name not in known:
+            raise InputError(
+                f"effect {effect.title!r}: starts gave a value of {name!r}{nearest_name(str(name), known)}: "
+                f"its parameters are {', '.join(known) or 'none'}"
+            )
+        if not isinstance(value, int | float) or not abs(float(value)) < math.inf:
+            raise InputError(f"effect {effect.title!r}: starts gave {name} = {value!r}, needed is a number")
+    return [{name: float(value) for name, value in start.items()} for start in found]
 
 
 def numbers_by(effect: Effect, hook: str, count: int, *given: Any) -> Sequence[float]:

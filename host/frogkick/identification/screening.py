@@ -16,7 +16,7 @@ import numpy as np
 
 from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.effects import Body, Effect, Fix, History, Stroke
-from frogkick.effects.base import call_hook, fix_by, numbers_by, robot_by, stroke_by
+from frogkick.effects.base import call_hook, fix_by, numbers_by, robot_by, starts_by, stroke_by
 from frogkick.identification.batching import all_of
 from frogkick.identification.fit import (
     PARAMETER_PENALTY,
@@ -138,7 +138,7 @@ def _own_starts(term: Term, robot: Robot, swims: Sequence[Segments]) -> list[tup
     call_hook(effect, "check", robot)
     reached = np.concatenate([swim.pose[:, :2] for swim in swims])
     found = []
-    for given in call_hook(effect, "starts", reached.min(axis=0), reached.max(axis=0)):
+    for given in starts_by(effect, reached.min(axis=0), reached.max(axis=0)):
         values = dict(zip((p.name for p in term.parameters), term.values, strict=True))
         found.append((term.at(list({**values, **given}.values())), set(given)))
     return found

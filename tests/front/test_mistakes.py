@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,14 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
     "a seed that no file holds": (
         lambda _: fk.build_library("frog2022", 10, 2**63),
         "a whole number below 2^63",
+    ),
+    "a library of a robot with a replaced value": (
+        lambda robot: fk.build_library(replace(robot, pulse_s=0.07), 2),
+        "robot 'frog2022' has other values than its text",
+    ),
+    "the table of a robot with a replaced value": (
+        lambda robot: fk.load_table(robot=replace(robot, pulse_s=0.07)),
+        "robot 'frog2022' has other values than its text",
     ),
     "a number as a sampling": (lambda _: fk.build_library("frog2022", 10, sampling=5), "sampling"),
     "a number as a target": (lambda _: fk.connect(5).__enter__(), "5"),

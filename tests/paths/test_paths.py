@@ -28,6 +28,10 @@ def test_line_is_straight_and_even() -> None:
     assert path.x_m[33] == np.float32(0.4 * 33 / 99)
 
 
+def test_a_path_shows_itself_in_one_line() -> None:
+    assert repr(line(0.4)) == "Path('line': 100 points, 400 mm)"
+
+
 def test_shapes_start_at_the_origin_and_keep_their_tangent() -> None:
     for name in ("line", "sine", "ellipse"):
         path = shape(name)

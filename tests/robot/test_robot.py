@@ -237,3 +237,12 @@ def test_all_missing_keys_are_named() -> None:
     text = ROBOT.toml.replace("pulse_s = 0.08\n", "", 1).replace("period_s = 1.425\n", "", 1)
     with pytest.raises(InputError, match="keys 'period_s', 'pulse_s' are missing: add them"):
         parse_robot(text, source="my.toml")
+
+
+def test_a_robot_at_another_period_has_the_text_and_the_hash_of_that_period() -> None:
+    # Libraries, logs and the cache of default tables take a robot's text and hash for the robot.
+    other = ROBOT.at_period(1.2)
+    assert other.period_s == 1.2 and other.profile_frequency_hz == 1.0 / 1.2
+    assert parse_robot(other.toml, "1.2 s", ROBOT.folder) == other
+    assert other.sha256 != ROBOT.sha256
+    assert ROBOT.at_period(1.425 * 1.01) is ROBOT

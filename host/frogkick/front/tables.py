@@ -27,7 +27,7 @@ from frogkick.effects.registry import own_code
 from frogkick.front.html import page_of
 from frogkick.library import RECORD_S, Library, library_info, wear
 from frogkick.library.fitting import SAMPLING, SEED, STATES
-from frogkick.robot import Robot, built_in_robots, load_robot
+from frogkick.robot import Robot, built_in_robots, load_robot, parse_robot
 from frogkick.tables.image import Tables, open_image, read_image
 
 __all__ = ["RECORD_S", "Table", "build_library", "fit_table", "library_info", "load_library", "load_table"]
@@ -137,12 +137,22 @@ def read_facts(file: Path | str) -> dict[str, Any]:
     return facts_of(read_image(file))
 
 
+def require_own_text(robot: Robot) -> None:
+    """Raise InputError for a robot whose values were replaced: its text and hash stand for another robot."""
+    if parse_robot(robot.toml, f"robot {robot.id!r}", robot.folder) != robot:
+        raise InputError(
+            f"robot {robot.id!r} has other values than its text, which libraries, caches and logs keep: "
+            "write it with .save(FILE), change the values there, and load that file"
+        )
+
+
 def default_tables(robot: Robot | str, states: int | None = None, sampling: str = SAMPLING) -> Path:
     """Return the path of a robot's table image, which is built on first use (about a minute).
 
     ``states`` (None: ``STATES``) and ``sampling`` are those of its library.
     """
     robot = load_robot(robot)
+    require_own_text(robot)
     states = STATES if states is None else states
     made_of = f"{_source_sha256()} {states} {SEED} {sampling} {wear.GAINS}\n{numerical_versions()}".encode()
     key = hashlib.sha256(robot.sha256 + made_of + own_code(robot)).hexdigest()[:24]
@@ -281,6 +291,7 @@ def build_library(
         ConvergenceError: every simulation failed.
     """
     robot = load_robot(robot)
+    require_own_text(robot)
     with ExitStack() as stack:
         if out is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="frogkick-library-"))

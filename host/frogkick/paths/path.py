@@ -60,7 +60,7 @@ def along_m(points_m: Float64) -> Float64:
 
 
 @typed
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Path:
     """A desired path in the world frame.
 
@@ -102,6 +102,9 @@ class Path:
             object.__setattr__(self, column, stored)
         if self.length_m == 0.0:
             raise no_length(self.name, x.size)
+
+    def __repr__(self) -> str:
+        return f"Path({self.name!r}: {len(self)} points, {1e3 * self.length_m:.0f} mm)"
 
     def _column(self, column: str) -> Float64:
         try:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import html
 import math
 import os
+import re
 import string
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -110,7 +112,7 @@ class Robot:
         effects: tables of its effects in its file (see frogkick.effects.effects_of).
         folder: folder of its own effects' files; None if the text has no folder.
         toml: the canonical text; load_robot reads it back to the same robot.
-        sha256: of that text, 32 bytes; ``at_period`` leaves both as they are.
+        sha256: of that text, 32 bytes.
     """
 
     id: str
@@ -207,7 +209,17 @@ class Robot:
         if abs(period_s / self.period_s - 1.0) <= PERIOD_SAME:
             return self
         self.actuation(frequency_hz=1.0 / period_s)
-        return replace(self, period_s=period_s, profile_frequency_hz=1.0 / period_s)
+        text, period_s, frequency_hz = self.toml, float(period_s), 1.0 / float(period_s)
+        for key, value in (("period_s", period_s), ("profile_frequency_hz", frequency_hz)):
+            # The robot's own keys stand above those of all tables.
+            text = re.sub(rf"^{key} = .*$", f"{key} = {value!r}", text, count=1, flags=re.MULTILINE)
+        return replace(
+            self,
+            period_s=period_s,
+            profile_frequency_hz=frequency_hz,
+            toml=text,
+            sha256=hashlib.sha256(text.encode()).digest(),
+        )
 
     @property
     def action_codes(self) -> tuple[str, ...]:

@@ -43,9 +43,10 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         fk_robot_send(robot, type, frame.sequence, answer, 1u);
         return;
     }
-    uint32_t record = fk_robot_log_command(robot, &frame);
+    uint32_t record = 0u;
+    const int32_t is_logged = fk_robot_log_command(robot, &frame, &record);
     uint32_t answer_length = (uint32_t)fk_robot_command(robot, &frame, now_us, answer);
-    if (record != FK_LOG_NOTHING) {
+    if (is_logged != 0) {
         fk_log_finish(robot->log, record, answer[0]);
     }
     if (acts_once(frame.type)) {

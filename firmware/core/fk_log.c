@@ -67,19 +67,28 @@ int32_t fk_log_open(fk_log_t *log)
     return 0;
 }
 
+/* volatile here and below, so that the compiler keeps the order of the stores. Where the oldest record begins is two
+ * words; while only one of them is written, the log is none. */
+static void drop_oldest(volatile fk_log_t *log, uint32_t begin, uint32_t first)
+{
+    log->magic = 0u;
+    log->begin = begin;
+    log->first = first;
+    log->magic = LOG_MAGIC;
+    ++log->lost;
+}
+
 /* A damaged length cannot take `begin` past `end`: more bytes than the longest record are still held when a record
  * is dropped. */
 static void make_room(fk_log_t *log, uint32_t bytes)
 {
     while (log->end - log->begin > FK_LOG_BYTES - bytes) {
-        uint32_t length = FK_LOG_HEAD_BYTES + log->bytes[log->first];
-        log->first = place_of(log, log->begin + length);
-        log->begin += length;
-        ++log->lost;
+        uint32_t begin = log->begin + FK_LOG_HEAD_BYTES + log->bytes[log->first];
+        drop_oldest(log, begin, place_of(log, begin));
     }
 }
 
-static void put(fk_log_t *log, uint32_t *place, uint8_t byte)
+static void put(volatile fk_log_t *log, uint32_t *place, uint8_t byte)
 {
     log->bytes[*place] = byte;
     ++*place;
@@ -112,7 +121,8 @@ uint32_t fk_log_write(fk_log_t *log, uint8_t id, uint64_t time_us, const uint8_t
     for (uint32_t i = 0u; i < length; ++i) {
         put(log, &place, content[i]);
     }
-    log->end = offset + FK_LOG_HEAD_BYTES + length; /* a reset after make_room() leaves the records before */
+    /* The last store: a reset after make_room() and before it leaves the records before. */
+    ((volatile fk_log_t *)log)->end = offset + FK_LOG_HEAD_BYTES + length;
     return offset;
 }
 

@@ -99,16 +99,17 @@ static int32_t wants_snapshot(const fk_robot_t *robot, uint8_t type)
            robot->second_mask == 0u;
 }
 
-uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame)
+/* Returns 1 where the command is logged, with its record's offset; else 0. */
+int32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame, uint32_t *record)
 {
     uint8_t content[FK_COMMAND_RECORD_BYTES + FK_PAYLOAD_BYTES_MAX + 1u];
     const int32_t is_fix = frame->type == FK_FRAME_FIX;
     if (robot->log == 0 || robot->state == FK_STATE_FAULT || (!is_fix && !fk_robot_changes_state(frame->type))) {
-        return FK_LOG_NOTHING;
+        return 0;
     }
     if (is_fix && robot->state == FK_STATE_DISARMED) {
         robot->log_broken = 1u;
-        return FK_LOG_NOTHING;
+        return 0;
     }
     if (wants_snapshot(robot, frame->type)) {
         fk_robot_log_snapshot(robot);
@@ -116,14 +117,15 @@ uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame)
     if (is_of_tables(frame->type)) {
         robot->log_broken = 1u;
     }
-    fk_command_record_t record = {frame->type};
-    fk_command_record_pack(content, &record);
+    fk_command_record_t command = {frame->type};
+    fk_command_record_pack(content, &command);
     for (uint32_t i = 0u; i < frame->payload_length; ++i) {
         content[FK_COMMAND_RECORD_BYTES + i] = frame->payload[i];
     }
     uint32_t length = FK_COMMAND_RECORD_BYTES + frame->payload_length;
     fk_put_i8(content + length, FK_LOG_UNFINISHED);
-    return fk_log_write(robot->log, FK_RECORD_COMMAND, robot->now_us, content, length + 1u);
+    *record = fk_log_write(robot->log, FK_RECORD_COMMAND, robot->now_us, content, length + 1u);
+    return 1;
 }
 
 int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uint8_t *answer)

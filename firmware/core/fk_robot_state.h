@@ -100,7 +100,6 @@ struct fk_robot {
 void fk_robot_log_snapshot(fk_robot_t *robot);
 
 /* fk_robot_log.c. Nothing is written where there is no log. */
-#define FK_LOG_NOTHING UINT32_MAX  /* no offset of a record: the command is not logged */
 #define FK_LOG_UNFINISHED (-128)   /* status of a command that the robot has not yet done */
 #define FK_PULSE_REFUSED 0u  /* by the guard */
 #define FK_PULSE_ASKED 1u    /* of the port */
@@ -112,7 +111,7 @@ void fk_robot_log_fault(fk_robot_t *robot);
 void fk_robot_log_state(fk_robot_t *robot, uint8_t before, uint8_t event);
 void fk_robot_log_stroke(fk_robot_t *robot, uint8_t id, uint8_t action);
 void fk_robot_log_pulse(fk_robot_t *robot, uint8_t limb_mask, uint8_t allowed);
-uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame);
+int32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame, uint32_t *record);
 int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uint8_t *answer);
 
 /* fk_robot_state.c: no other file changes the state, or asks for a stroke. */

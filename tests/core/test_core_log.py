@@ -196,6 +196,20 @@ def test_a_first_fetch_begins_at_a_record_also_where_offsets_go_round() -> None:
     assert fetched(robot, reported) == reported
 
 
+def test_a_command_has_its_status_wherever_its_record_begins() -> None:
+    """The last offset stood for a command that is not logged: ARM there was one that the robot never finished."""
+
+    def armed(shift: int) -> Record:
+        robot, log = robot_with_log()
+        log.words[1], log.words[2] = shift, (shift + log.word(2)) % 2**32
+        robot.begin("ARMED")
+        return next(record for record in fetched(robot).records()[0] if record.command == "ARM")
+
+    shift = 2**32 - 1 - armed(0).offset
+    last = armed(shift)
+    assert (last.offset, last.values["status"]) == (2**32 - 1, 0)
+
+
 def test_what_is_overwritten_during_a_fetch_leaves_a_gap() -> None:
     robot, log = robot_with_log()
     robot.begin("ARMED")

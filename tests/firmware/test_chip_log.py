@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 from functools import cache
+from typing import Any
 
 import pytest
+import unicorn
 from tests.conftest import count, from_ci
+from tests.core.core import core
+from tests.core.log_rig import SNAPSHOT, Log, content_of
 from tests.runs import rig
 
 from frogkick.link.layout import link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, fetch_log, records_of
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.pool.chip.uncounted import UncountedCalls
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.runs.chip_log import LogReplay, replay_log
 from frogkick.runs.closed_loop import run_session
@@ -174,3 +180,51 @@ def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
     assert names[names.index("STROKE") :][:4] == ["STROKE", "STROKE", "BEGUN", "PULSE"]
     reported = replayed(log)
     assert (reported.mismatches, reported.segments) == ([], 1)
+
+
+def cuts(alone: UncountedCalls, at: int, size: int, function: str, *arguments: int) -> Iterator[bytes]:
+    """Memory as a reset between any two of a function's stores there would leave it; last, when it has returned."""
+    seen = []
+
+    def before_a_store(_uc: Any, _access: int, _address: int, _size: int, _value: int, _data: Any) -> None:
+        seen.append(alone.ram_read(at, size))
+
+    hook = alone._uc.hook_add(unicorn.UC_HOOK_MEM_WRITE, before_a_store, begin=at, end=at + size - 1)
+    alone.call(function, *arguments)
+    alone._uc.hook_del(hook)
+    yield from seen
+    yield alone.ram_read(at, size)
+
+
+@pytest.mark.parametrize("length", [11, 54, 118, 239, 248, 0])
+def test_a_reset_between_any_two_stores_leaves_whole_records_or_no_log(length: int) -> None:
+    """Records of one length let the oldest be dropped by half: the log went on without its newest record.
+
+    Of length 0: of random lengths.
+    """
+    port, _, _ = swum()
+    alone, dice = UncountedCalls(port.chip), random.Random(length)
+    address, content_at = port.chip.symbol("history"), port.chip.symbol("fk_stack_bottom")
+    for written in range(100, 4000, count(900, 130)):
+        log = Log(written)
+        lengths = [length or dice.randint(8, 248) for _ in range(written + 1)]
+        for number in range(written):
+            log.write(content_of(number, lengths[number] - 7))
+        before = log.records()
+        content = content_of(written, lengths[-1] - 7)
+        alone.ram_write(address, bytes(log.raw))
+        alone.ram_write(content_at, content)
+        called = (address, SNAPSHOT, 0, 0, content_at, len(content))
+        states = list(dict.fromkeys(cuts(alone, address, len(log.raw), "fk_log_write", *called)))
+        assert len(states) > len(content)
+        *torn, log.raw[:] = states
+        assert core().fk_log_open(log.memory) == 1
+        after = log.records()
+        assert after[-1].content == content and after[:-1] == before[1 - len(after) :]
+        kept = 0
+        for log.raw[:] in torn:
+            if core().fk_log_open(log.memory):
+                found = log.records()
+                assert found == before[-len(found) :] and len(found) >= len(after) - 1
+                kept += 1
+        assert kept > 0.8 * len(content), "all but the few in which the oldest is dropped"

@@ -197,7 +197,7 @@ def test_a_first_fetch_begins_at_a_record_also_where_offsets_go_round() -> None:
 
 
 def test_a_command_has_its_status_wherever_its_record_begins() -> None:
-    """The last offset stood for a command that is not logged: ARM there was one that the robot never finished."""
+    """The last offset stood for a command that is not logged: ARM there was never finished."""
 
     def armed(shift: int) -> Record:
         robot, log = robot_with_log()

@@ -183,7 +183,7 @@ def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
 
 
 def cuts(alone: UncountedCalls, at: int, size: int, function: str, *arguments: int) -> Iterator[bytes]:
-    """Memory as a reset between any two of a function's stores there would leave it; last, when it has returned."""
+    """Memory as a reset between any two of a function's stores there leaves it; last, as it returns."""
     seen = []
 
     def before_a_store(_uc: Any, _access: int, _address: int, _size: int, _value: int, _data: Any) -> None:

@@ -13,8 +13,9 @@ static int32_t acts_once(uint8_t type)
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
 {
     fk_frame_t frame;
-    /* An answer is not a command: on a line that echoes, the robot would answer its own answers without end. */
-    if (fk_frame_decode(encoded, length, &frame) != 0 || (frame.type & FK_ANSWER_BIT) != 0u) {
+    /* Answers and events are no commands: on a line that echoes, the robot would answer its own answers without end, and
+     * its events would pass for a host that is there. */
+    if (fk_frame_decode(encoded, length, &frame) != 0 || (frame.type & (FK_ANSWER_BIT | FK_EVENT_BIT)) != 0u) {
         ++robot->frames_bad;
         return;
     }

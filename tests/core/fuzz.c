@@ -1,6 +1,6 @@
 /* Tests only: bytes to the robot as a radio or a stranger may send them, each judged by a decoder of its own.
  *
- * A frame that is none, or an answer, may change nothing but the count of bad frames; every other one is answered once,
+ * A frame that is none, or an answer or event, may change nothing but the count of bad frames; every other one is answered once,
  * with its type and its sequence number; and after whatever came, the next good frame is taken. Nobody here has the key of
  * a robot that has an owner: it may be switched off, and no more.
  */
@@ -157,8 +157,8 @@ static void deliver(const uint8_t *encoded, uint32_t length)
     uint8_t *exact = malloc(length);
     memcpy(exact, encoded, length);
     int32_t size = decoded(exact, length, raw);
-    if (size >= 0 && (raw[0] & FK_ANSWER_BIT) == 0u) {
-        const uint32_t type = ((raw[0] & 0x60u) == 0x20u) ? raw[0] - 0x20u : raw[0]; /* with a code: as without */
+    if (size >= 0 && (raw[0] & 0xC0u) == 0u) {
+        const uint32_t type = raw[0] & 0xDFu; /* with a code: as without */
         memcpy(&before, &robot, sizeof(robot));
         fk_robot_on_frame(&robot, exact, length, now_us);
         uint32_t heard = hear();

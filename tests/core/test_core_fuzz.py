@@ -57,7 +57,7 @@ BROKEN = {
         "    collector->length = (collector->length > 9u) ? 1u : 0u;\n",
     ),
     "unknown commands are ignored": (
-        "fk_link.c", "(frame.type & FK_ANSWER_BIT) != 0u)", "frame.type > 0x0bu)",
+        "fk_link.c", "(frame.type & (FK_ANSWER_BIT | FK_EVENT_BIT)) != 0u)", "frame.type > 0x0bu)",
     ),
     "another number is answered": (
         "fk_link.c", "send(robot, type, frame.sequence, answer, answer_length);",
@@ -71,7 +71,8 @@ BROKEN = {
         "frame->type &= (uint8_t)~FK_AUTH_BIT;\n    if (!is_owned) {",
     ),
     "what a stranger sends keeps it armed": ("fk_link.c", "if (!fk_robot_is_owned(robot)) {", "{"),
-    "answers are answered": ("fk_link.c", "|| (frame.type & FK_ANSWER_BIT) != 0u)", ")"),
+    "answers are answered": ("fk_link.c", "(frame.type & (FK_ANSWER_BIT | FK_EVENT_BIT))", "(frame.type & FK_EVENT_BIT)"),
+    "events are answered": ("fk_link.c", "(frame.type & (FK_ANSWER_BIT | FK_EVENT_BIT))", "(frame.type & FK_ANSWER_BIT)"),
 }  # fmt: skip
 
 

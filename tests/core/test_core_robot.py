@@ -10,7 +10,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 from cobs import cobs
-from tests.core.core import ACTION, FFI, PERIOD_US, RESTING, STATE, Robot, bits, cases, core, decode, image
+from tests.core.core import (
+    ACTION, FFI, PERIOD_US, RESTING, SILENT_US, STATE, Robot, bits, cases, core, decode, image,
+)  # fmt: skip
 
 from frogkick.core.weights import WEIGHTS
 from frogkick.link.auth import words
@@ -119,23 +121,24 @@ def raw_frame(kind: int, payload: bytes) -> bytes:
 def test_unknown_types_are_answered(state: str) -> None:
     robot = Robot().begin(state)
     known = {message.id for message in link_layout().messages.values() if message.command}
-    for kind in set(range(0x80)) - known:
+    for kind in set(range(EVENT_BIT)) - known:
         robot.raw(raw_frame(kind, b"\1\2"))
         answer = decode(robot.take_bytes()[:-1])
-        has_code = kind & (EVENT_BIT | AUTH_BIT) == AUTH_BIT  # of a robot that knows none
+        has_code = kind & AUTH_BIT != 0  # of a robot that knows none
         status = link_layout().status["MAC" if has_code else "UNKNOWN"]
         assert answer == ((kind & ~AUTH_BIT if has_code else kind) | 0x80, 77, struct.pack("b", status))
     assert robot.state() == state
 
 
-def test_an_answer_is_not_a_command() -> None:
-    """An echo on the line must not make the robot answer its own answers for ever."""
+def test_an_answer_and_an_event_are_no_commands() -> None:
+    """An echo on the line must not make the robot answer its own answers for ever, nor pass for a host."""
     robot = Robot().begin("ARMED")
-    bad = int(robot.ask("STATUS")["frames_bad"])
-    for kind in range(0x80, 0x100):
+    robot.now_us += 10**6
+    for kind in range(EVENT_BIT, 0x100):
         robot.raw(raw_frame(kind, b""))
         assert robot.take_bytes() == b""
-    assert robot.ask("STATUS")["frames_bad"] == bad + 128
+    assert robot.tick(robot.now_us + SILENT_US - 10**6).all_off, "it heard nobody since"
+    assert robot.ask("STATUS")["frames_bad"] == 192
 
 
 @pytest.mark.parametrize("state", STATES)

@@ -11,7 +11,7 @@ from tests.der.single import Swimmer
 
 import frogkick as fk
 from frogkick.core.errors import InputError
-from frogkick.der import prepare
+from frogkick.der import Batch, prepare
 from frogkick.effects import (
     BUILT_IN,
     Acting,
@@ -23,7 +23,9 @@ from frogkick.effects import (
     changed_robot,
     make_effect,
     read_world,
+    rods_of,
 )
+from frogkick.effects.acting import lane_effects, program_of
 from frogkick.identification.terms import catalogue
 from frogkick.robot import load_robot
 
@@ -299,6 +301,26 @@ def test_a_wrong_world_is_refused_in_one_line(tmp_path: Path, text: str, words: 
         read_world(tmp_path / "world.toml", load_robot("frog2022"))
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(f"world file '{tmp_path / 'world.toml'}'")
+
+
+@pytest.mark.parametrize("bad", [math.nan, 1e200])
+def test_a_simulation_that_diverges_is_no_effect_s_fault(bad: float) -> None:
+    by_speed = {"value": 0.5, "unit": "s/m", "low": -1.0, "high": 1.0}
+    law = {"name": "law", "on": "stroke", "gain": "1 + by * forward_mps", "parameters": {"by": by_speed}}
+    robot, still = load_robot("frog2022-measured"), np.zeros((2, 3))
+    ends = []
+    for wrong in ({}, {1: (np.zeros(3), np.full(3, bad))}):
+        batch, acting = (
+            Batch([rods_of(robot)] * 2, still, still),
+            lane_effects(robot, 2, [make_effect(law, Path())]),
+        )
+        batch.shift(wrong)
+        for lane in (0, 1):
+            acting.fire_all(batch, lane, program_of(robot, robot.actions[1]))
+        acting.advance(batch, 0.5)
+        assert list(batch.failures) == list(wrong)
+        ends.append(batch.pose_world()[0].tolist())
+    assert ends[0] == ends[1]
 
 
 def test_a_method_that_gives_nonsense_is_named(tmp_path: Path) -> None:

@@ -36,6 +36,9 @@ LEG_S = 0.02
 _APART_M = 0.01
 """The flow's gradient is a finite difference between points so far on either side of the centre."""
 
+_BEYOND = 1e9
+"""A pose or velocity (SI units) of a simulation that has diverged: its next step fails by itself."""
+
 
 @typed
 def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
@@ -148,8 +151,13 @@ class Acting:
         if not self.effects:
             batch.fire(lane, limb, time_s)
             return
-        asks = self.asks_body
-        body = body_at(time_s, batch.pose_world()[lane], batch.velocity_body()[lane]) if asks else None
+        body = None
+        if self.asks_body:
+            pose, velocity = batch.pose_world()[lane], batch.velocity_body()[lane]
+            if _diverged(pose, velocity):
+                batch.fire(lane, limb, time_s)
+                return
+            body = body_at(time_s, pose, velocity)
         stroke = self.stroke(lane if own is None else own, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         batch.fire(lane, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
@@ -213,7 +221,7 @@ class Acting:
             pose: (3,) world frame.
             velocity: (3,) body frame.
         """
-        if not (self._flows or self._wrenches):
+        if not (self._flows or self._wrenches) or _diverged(pose, velocity):
             return STILL
         gradient = ((0.0, 0.0), (0.0, 0.0))
         centre = np.asarray(pose[:2], dtype=np.float64)
@@ -269,6 +277,11 @@ def body_at(time_s: float, pose: Float64, velocity: Float64) -> Body:
     x, y, heading = np.asarray(pose, dtype=np.float64).tolist()
     forward, left, omega = np.asarray(velocity, dtype=np.float64).tolist()
     return Body(time_s, (x, y, heading), (forward, left, omega))
+
+
+def _diverged(pose: Float64, velocity: Float64) -> bool:
+    """Return whether a simulation is beyond all bounds, so that no effect can say anything about it."""
+    return not all(abs(value) < _BEYOND for value in (*pose.tolist(), *velocity.tolist()))
 
 
 def _finite(*given: Any) -> bool:

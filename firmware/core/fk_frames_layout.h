@@ -435,9 +435,9 @@ typedef struct {
     uint32_t decisions; /* decisions since START */
     uint32_t fixes_used; /* fixes taken since boot */
     uint32_t fixes_refused; /* fixes refused since boot */
-    uint32_t frames_bad; /* frames that failed COBS, length or CRC, or were answers */
+    uint32_t frames_bad; /* frames that failed COBS, length or CRC, or were answers or events */
     uint32_t pulses; /* pulses since boot */
-    uint32_t pulses_refused; /* pulses that the guard refused */
+    uint32_t pulses_refused; /* pulses that the guard refused, or that the port could not begin in time */
     uint32_t answers_dropped; /* answers and events that found no room, or that the radio could not send */
     uint32_t restarts; /* times that outliers which agree were believed since boot */
     uint32_t repeats; /* commands that came again and were answered, not done, since boot */
@@ -1029,7 +1029,7 @@ static inline void fk_decision_event_pack(uint8_t *to, const fk_decision_event_t
 
 #define FK_REFUSED_EVENT_BYTES 9u
 
-/* The guard refused the stroke of a decision or a STROKE; the robot rests instead. */
+/* The guard refused the stroke of a decision or a STROKE, or the port was too late for it; the robot rests instead. Of a stroke whose first limbs have fired only the second ones can be refused: `pulses_refused` counts that, and no event tells it. */
 typedef struct {
     uint8_t action; /* that was to begin */
     uint64_t begin_us; /* when, on the robot's clock (us) */

@@ -283,7 +283,7 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
 }
 
 /* The table has no motion for half a stroke, so none of it begins; the estimator and the host learn that it is
- * refused. */
+ * refused. Second limbs are not asked for before the first ones have fired: their refusal is only counted and logged. */
 static void refuse_stroke(fk_robot_t *robot, uint8_t action)
 {
     fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);

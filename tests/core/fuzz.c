@@ -1,7 +1,7 @@
 /* Tests only: bytes to the robot as a radio or a stranger may send them, each judged by a decoder of its own.
  *
- * A frame that is none, or an answer or event, may change nothing but the count of bad frames; every other one is answered once,
- * with its type and its sequence number; and after whatever came, the next good frame is taken. Nobody here has the key of
+ * A frame that is none, or an answer or event, may change nothing but the count of bad frames; every other one is answered
+ * once, with its type and its sequence number; and after whatever came, the next good frame is taken. Nobody here has the key of
  * a robot that has an owner: it may be switched off, and no more.
  */
 #include <stdio.h>

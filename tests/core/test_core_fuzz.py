@@ -71,8 +71,8 @@ BROKEN = {
         "frame->type &= (uint8_t)~FK_AUTH_BIT;\n    if (!is_owned) {",
     ),
     "what a stranger sends keeps it armed": ("fk_link.c", "if (!fk_robot_is_owned(robot)) {", "{"),
-    "answers are answered": ("fk_link.c", "(frame.type & (FK_ANSWER_BIT | FK_EVENT_BIT))", "(frame.type & FK_EVENT_BIT)"),
-    "events are answered": ("fk_link.c", "(frame.type & (FK_ANSWER_BIT | FK_EVENT_BIT))", "(frame.type & FK_ANSWER_BIT)"),
+    "answers are answered": ("fk_link.c", "(FK_ANSWER_BIT | FK_EVENT_BIT)", "FK_EVENT_BIT"),
+    "events are answered": ("fk_link.c", "(FK_ANSWER_BIT | FK_EVENT_BIT)", "FK_ANSWER_BIT"),
 }  # fmt: skip
 
 

@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 from cobs import cobs
 from tests.core.core import (
-    ACTION, FFI, PERIOD_US, RESTING, SILENT_US, STATE, Robot, bits, cases, core, decode, image,
+    ACTION,
+    FFI,
+    PERIOD_US,
+    RESTING,
+    SILENT_US,
+    STATE,
+    Robot,
+    bits,
+    cases,
+    core,
+    decode,
+    image,
 )  # fmt: skip
 
 from frogkick.core.weights import WEIGHTS

@@ -140,6 +140,7 @@ WORLDS: list[tuple[str, dict[str, Any]]] = [
     ("stroke by heading all", {"class": "ByHeading", "depth": 0.5}),
     ("patch", {"class": "Weeds", "drag": 1.0, "x": -0.1, "y": 0.2, "radius": 0.2}),
     ("drag power", {"class": "DragByPower", "force": 0.006, "power": 0.4}),
+    ("drag by speed", {"class": "DragByPower", "force": 0.0004, "power": 1.0}),
     ("fixes late at intervals", {"class": "Lags", "late": 0.15, "cycle": 7.0, "share": 0.35}),
     ("fixes off at intervals", {"class": "Moves", "x": 0.006, "y": -0.004, "cycle": 8.0, "share": 0.4}),
     ("stroke settles rear_left", {"class": "Settles", "limb": "rear_left", "more": 0.35, "fade": 8.0}),
@@ -315,7 +316,7 @@ def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
     swims = [make_swim([], 1, 8)]
     kinds = kinds_of(robot(), swims)
     assert len({(kind.title, kind.table.get("limb")) for kind in kinds}) == len(kinds)
-    assert len(kinds) == 96, "explanation/identification.md says so"
+    assert len(kinds) == 97, "explanation/identification.md says so"
     for kind in kinds:
         term = kind.term(kind.grid[0])
         term.effect().check(robot())

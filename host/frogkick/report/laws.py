@@ -253,6 +253,7 @@ SENTENCES: Mapping[str, str] = {
     "patch with an end": f"Around the point {_PLACE} the water resists more, by {{drag:.3g}} N s/m in its "
     "middle, and less and less up to a distance of {size:.2f} m.",
     "drag beyond a line": "Beyond a line across the pool the water resists more, by {drag:.3g} N s/m.",
+    "drag by speed": "The water resists in proportion to the speed, by {drag:.3g} N s/m.",
     "drag power": "The water resists with the power {power:.2g} of the speed: {forward_drag:.3g} N forward "
     "and {left_drag:.3g} N sideways at {speed:.2f} m/s.",
     "compass": "A torque turns the robot towards one heading, as a magnet does.",

@@ -389,8 +389,8 @@ class Right:
         )
 
 
-MOMENT_S, PLACE_M, CYCLE = 3.0, 0.12, 0.1
-"""Tolerances of a moment (two periods), of a position, and of a cycle (relative)."""
+MOMENT_S, PLACE_M, CYCLE, POWER = 3.0, 0.12, 0.1, 1.0
+"""Tolerances of a moment (two periods), of a position, of a cycle (relative), and of a power."""
 
 
 def _cycle(table: Table) -> dict[str, tuple[float, float]]:
@@ -407,6 +407,12 @@ def _right_cable(table: Table) -> Right:
     return Right(("spring", *same), _place(table))
 
 
+def _right_slime(table: Table) -> Right:
+    # A drag in proportion to the speed has the power 1.
+    same = ("drag by speed",) if abs(table["power"] - 1.0) <= POWER else ()
+    return Right(("drag power", *same), {"power": (table["power"], POWER)})
+
+
 RIGHT: Mapping[str, Callable[[Table], Right]] = {
     "Cable": _right_cable,
     "Sloshing": lambda table: Right(("sloshing",), _cycle(table)),
@@ -415,7 +421,7 @@ RIGHT: Mapping[str, Callable[[Table], Right]] = {
         (f"stroke from a moment on {table['limb']}",), {"at": (table["at"], MOMENT_S)}
     ),
     "SharedBattery": lambda table: Right((f"stroke after {table['limb']} {table['other']}",)),
-    "Slime": lambda table: Right(("drag power",), {"power": (table["power"], 1.0)}),
+    "Slime": _right_slime,
     "ByHeading": lambda _table: Right(("stroke by heading all",)),
     "HeadingGain": lambda _table: Right(("stroke by heading all",)),
     "Patch": lambda table: Right(("patch", "patch with an end"), _place(table)),

@@ -52,7 +52,8 @@ def add_forces(
     Stretching has the energy EA e^2 dl / 2 with the strain e = length / dl - 1. Bending has the energy
     EI (k - k0)^2 dl / 2 with k = 2 tan(phi / 2) / dl, where phi is the turning angle from the bend's first
     edge to its second. Drag is -1/2 rho D dl C |v| v along and across each edge, half of it at each end.
-    Directions are those of edges, so a corner at which three edges meet needs no rule of its own.
+    There |v| is that of the same component, or of the whole velocity (``Mesh.drag_by_speed``). Directions are
+    those of edges, so a corner at which three edges meet needs no rule of its own.
 
     Args:
         edges: work space; written.

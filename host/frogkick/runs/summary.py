@@ -236,10 +236,13 @@ def bends_of(run: RunLog, progress_mps: float) -> Bends | None:
 def summary(run: RunLog) -> Summary:
     """The numbers of a run."""
     time_s, poses, of = track_of(run)
-    distances: tuple[float | None, float | None, float | None] = (None, None, None)
+    distances: tuple[float | None, ...] = (None, None, None)
     if run.path is not None:
         spans = spans_of(run)
-        distances = along_paths(run.paths, time_s, poses, spans[0][0] if spans else math.inf)
+        found = along_paths(run.paths, time_s, poses, spans[0][0] if spans else math.inf)
+        # A run's own numbers end with the run, and its log has the true poses of some moments more.
+        names = ("mean_distance_m", "p95_distance_m", "progress_mps")
+        distances = tuple(run.measured.get(name, value) for name, value in zip(names, found, strict=True))
     known = run.decisions.predicted is not None and run.truth is not None
     error = residual(run).error if known else None
     usable = run.fixes.usable

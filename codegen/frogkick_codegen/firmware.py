@@ -105,7 +105,8 @@ _PORT_LATE_US = 200
 """``FK_PORT_LATE_US``: what a port may take from the time that it reports to the pins."""
 
 
-def _require_limits(robot: Robot) -> None:
+def require_limits(robot: Robot) -> None:
+    """Raise InputError for limits of a robot's file that no firmware takes."""
     guard = robot.guard
     for name, value, least, most in (
         ("pulse_max_s", guard.pulse_max_s, 1e-6, PULSE_CEILING_S),
@@ -136,7 +137,7 @@ def _require_limits(robot: Robot) -> None:
 
 def robot_config(robot: Robot) -> str:
     """The header that carries the robot's limits and planner defaults into the core."""
-    _require_limits(robot)
+    require_limits(robot)
     guard, planner, battery = robot.guard, robot.planner, robot.battery
     inputs = battery.inputs if battery is not None else ()
     least_mv = math.ceil(1e3 * battery.low_v / battery.divider) if battery is not None and inputs else 0

@@ -70,7 +70,9 @@ def test_a_file_is_read_like_a_name(tmp_path: Path) -> None:
         ("segments = [23, 23, 23, 23]", "segments = [23, 23]", "2 entries for 4 edges"),
         ("forward_mps = [0.0, 0.04]", "forward_mps = [0.04, 0.0]", "lower end first"),
         ("profile_frequency_hz = 0.7", "profile_frequency_hz = 3.0", "0.4-1.2 Hz"),
-        ('id = "frog2022"', 'id = "a-name-longer-than-15"', "15 characters"),
+        ('id = "frog2022"', 'id = "a-name-longer-than-15"', "give 1 to 15 letters, digits, - or _"),
+        ('id = "frog2022"', 'id = "dr\u00fc 3"', "give 1 to 15 letters, digits, - or _"),
+        ('name = "front_left"', 'name = "front left"', "limb.1.name is 'front left': give letters, digits"),
         ("period_s = 1.425", "period_s = = 1", "not TOML"),
         # A slip by a thousand, with the unit that was likely meant.
         ("corners_m = [[0.045, -0.045]", "corners_m = [[45.0, -45.0]", "frame.corners_m is 45, above 2"),

@@ -76,3 +76,13 @@ def test_the_command_writes_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert file.read_text() == text and [each.name for each in tmp_path.iterdir()] == ["tri.toml"]
     with pytest.raises(InputError, match="--limbs is 0"):
         write_new_robot(tmp_path / "y.toml", limbs=0)
+
+
+def test_limits_that_no_firmware_takes_are_seen_before_a_library_is_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "long.toml"
+    file.write_text('base = "frog2022"\nid = "long"\n[guard]\npulse_max_s = 0.2\n')
+    shown = frogkick(capsys, "robot", "show", file, "--json")
+    assert shown.code == 0
+    assert [line for line in shown.json["warnings"] if "pulse_max_s of robot 'long' is 0.2 s" in line]

@@ -17,6 +17,7 @@ from frogkick.effects import effects_of
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
 from frogkick.robot.load import new_robot_text
 from frogkick.robot.profile import MeasuredStroke, Profile, fit_stroke, read_stroke, write_profiles
+from frogkick_codegen.firmware import require_limits
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,8 +75,17 @@ def describe(robot: Robot) -> dict[str, Any]:
         },
         "period_s": robot.period_s,
         "pulse_s": robot.pulse_s,
-        "warnings": robot_warnings(robot),
+        "warnings": (*robot_warnings(robot), *_refused_by_firmware(robot)),
     }
+
+
+def _refused_by_firmware(robot: Robot) -> tuple[str, ...]:
+    """A warning if the robot can be simulated, but its limits fit no firmware."""
+    try:
+        require_limits(robot)
+    except InputError as error:
+        return (f"{error}; until then it can be simulated, but no firmware built and no run",)
+    return ()
 
 
 def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | None = None) -> Robot:
@@ -88,7 +98,7 @@ def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | Non
     if file.exists():
         raise InputError(f"{str(file)!r} exists already: name a new file, or remove that one")
     text = new_robot_text(load_robot(base), file.stem, limbs)
-    robot = parse_robot(text, str(file), file.parent)
+    robot = parse_robot(text, f"{str(file)!r}, whose name becomes the robot's id", file.parent)
     write_text(file, text)
     return robot
 

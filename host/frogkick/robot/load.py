@@ -236,6 +236,8 @@ def _first_error(error: ValidationError) -> str:
     if location == ("action",) and first["type"] == "too_long":
         return f"there are {len(first['input'])} actions: a table has room for {ACTIONS_MAX}, leave some out"
     given = f"{where} is {str(first['input'])[:60]!r}"
+    if first["type"].startswith("string_") and (about := ABOUT.get(".".join(map(str, location[::2])))):
+        return f"{given}: give {about.split(';')[0]}{more}"
     if first["type"] in ("model_type", "dict_type", "model_attributes_type"):
         table = f"[[{location[0]}]]" if len(location) > 1 else f"[{where}]"
         return f"{given}: it is a table, so write {table} and its keys below{more}"

@@ -133,7 +133,9 @@ class VelocityBox:
 class Guard:
     """Limits of the limbs that the robot enforces itself."""
 
-    pulse_max_s: Annotated[Positive, key("s that no pulse is longer than, whatever is asked")]
+    pulse_max_s: Annotated[
+        Positive, key("s that no pulse is longer than, whatever is asked; a robot takes at most 0.1")
+    ]
     rest_min_s: Annotated[NotNegative, key("s that a limb rests after a pulse")]
     duty_max: Annotated[float, key("share of the time that a limb is on, at most", gt=0.0, le=1.0)]
     duty_window_s: Annotated[Positive, key("s that this share is counted over")]

@@ -288,9 +288,12 @@ def test_files_and_names_are_taken_wherever_objects_are(
     assert fk.build_firmware(tmp_path / "t.fkt", "native").files
     (tmp_path / "line.csv").write_text("x,y\n0,0\n0.3,0\n", encoding="utf-8")
     assert fk.run(tmp_path / "t.fkt", tmp_path / "line.csv", time_limit_s=2.0).path is not None
-    assert repr(fk.identify(runs[0], test=str(tmp_path / "run.h5"))) == repr(
-        fk.identify(runs[:1], test=[tmp_path / "run.h5"])
+    assert repr(fk.identify(runs[1], test=str(tmp_path / "run.h5"))) == repr(
+        fk.identify(runs[1:2], test=[tmp_path / "run.h5"])
     )
+    runs[0].save(tmp_path / "copy.h5")
+    with pytest.raises(fk.InputError, match=r"run 'run\.h5' is training run 'copy\.h5' once more"):
+        fk.identify([runs[1], tmp_path / "copy.h5"], test=tmp_path / "run.h5")
 
 
 def test_what_is_no_object_of_ours_is_named(table: fk.Table) -> None:

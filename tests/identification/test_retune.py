@@ -422,12 +422,12 @@ def test_from_logs_to_firmware(
 def test_bad_arguments_are_one_clear_line_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run.h5"
     write_run(run, make_run([], 7, 6))
-    full = tmp_path / "full"
+    full, new, name = tmp_path / "full", tmp_path / "new", "frog2022"
     full.mkdir()
     (full / "kept").write_bytes(b"x")
-    new, name = tmp_path / "new", "frog2022"
     cases: list[tuple[list[str | Path], str]] = [
         (["missing.h5", "--robot", name, "--out", new, "--push", "ble"], "neither ble:NAME nor serial:PORT"),
+        ([run, run, "--robot", name, "--out", new], "'run.h5' is training run 'run.h5' once more"),
         ([run, "--robot", name, "--out", full], "is not empty"),
         ([run, "--robot", name, "--out", full / "kept"], "is a file"),
         ([run, "--robot", name, "--out", run], "is read by this command"),

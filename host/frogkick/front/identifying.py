@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
@@ -17,7 +20,7 @@ from frogkick.front.logs import Run, run_of
 from frogkick.identification.horizons import Horizon
 from frogkick.identification.outcome import Outcome, found_toml, robot_of_runs, write_predictions
 from frogkick.identification.outcome import identify as find
-from frogkick.identification.segments import segments_of
+from frogkick.identification.segments import Segments, segments_of
 from frogkick.identification.terms import FoundEffect, Interval
 from frogkick.robot import Robot, load_robot, parse_robot
 
@@ -177,6 +180,7 @@ def identify(
     logs = [[log_of(each) for each in some] for some in (runs, test)]
     described = load_robot(robot or robot_of_runs([log for some in logs for log, _name in some]))
     train, kept = ([segments_of(log, name, described) for log, name in some] for some in logs)
+    require_held_out(train, kept)
     own = None if effects is None else Path(effects)
     if not progress:
         return Identification(find(train, kept, described, own, measured=measured, laws=laws))
@@ -186,6 +190,24 @@ def identify(
         _ = found.horizons, found.experiment
         last(1, 1)
     return Identification(found)
+
+
+def require_held_out(train: Sequence[Segments], test: Sequence[Segments]) -> None:
+    """Refuse test runs whose fixes are those of a training run, whatever their files are called.
+
+    Raises:
+        InputError: there is one.
+    """
+    for one, other in product(test, train):
+        if len(one.time_s) and not (one.problem or other.problem) and _same_fixes(one, other):
+            raise InputError(
+                f"test run {one.name!r} is training run {other.name!r} once more: its test would show how "
+                "well it was fitted, not how well it is predicted; give each run once"
+            )
+
+
+def _same_fixes(one: Segments, other: Segments) -> bool:
+    return np.array_equal(one.time_s, other.time_s) and np.array_equal(one.pose, other.pose)
 
 
 def log_of(given: Given) -> tuple[Run, str]:

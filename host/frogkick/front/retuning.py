@@ -21,7 +21,7 @@ from frogkick.core.files import UnwritableError, require_writable, save_result, 
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, Stage, in_stages, shown
 from frogkick.front.html import page_of
-from frogkick.front.identifying import Given, LeftOut, log_of
+from frogkick.front.identifying import Given, LeftOut, log_of, require_held_out
 from frogkick.front.retune_tables import PERIOD_OFF, Lost, TableMaker, Tracked, table_error, table_horizons
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
@@ -184,6 +184,7 @@ def retune(
     described = load_robot(robot)
     swims, unused = reliable([segments_of(*log_of(each), described) for each in runs])
     left_out(unused)
+    require_held_out(swims[:-1], swims[-1:])
     old = None if table is None else _carried(table, described)
     tools = TableMaker(states, seed, workers or os.cpu_count() or 1)
     found = retuned(swims, described, folder, tools, partial(shown, progress), old, laws)

@@ -27,7 +27,7 @@
 #define FK_LOG_SNAPSHOT_MAX_BYTES 6784u   /* all records of one snapshot, with their heads: fk_snapshot.c */
 #define FK_LOG_WAITING_BYTES 1408u        /* of records while a snapshot that is due waits for the pulses of a stroke */
 
-/* So that the log always holds a whole snapshot, unless a host sends more than that while it waits. */
+/* So that the log of an armed robot always holds a whole snapshot, unless a host sends more than that while it waits. */
 typedef char fk_log_holds_a_snapshot[(FK_LOG_BYTES >= FK_LOG_SNAPSHOT_MAX_BYTES + FK_LOG_SNAPSHOT_EVERY_BYTES +
                                                           FK_LOG_WAITING_BYTES &&
                                       FK_LOG_BYTES <= 0x40000000u)

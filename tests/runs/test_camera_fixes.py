@@ -12,6 +12,7 @@ from tests.vision.scenes import calibration, scene
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
+from frogkick.runs import tracked_fixes
 from frogkick.runs.tracked_fixes import CameraFixes
 from frogkick.vision.sources import Frame, live_frames
 
@@ -41,7 +42,8 @@ def collected(source: CameraFixes, number: int) -> list[tuple[float, Fix]]:
     return found
 
 
-def test_fixes_are_where_the_tag_is_and_when_it_was_seen() -> None:
+def test_fixes_are_where_the_tag_is_and_when_it_was_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracked_fixes, "KEEP_S", PATIENCE_S)
     source = CameraFixes(frames(12), calibration(SCENE), "a folder")
     source.wait_first(PATIENCE_S)
     found = collected(source, 12)
@@ -58,7 +60,7 @@ def test_fixes_are_where_the_tag_is_and_when_it_was_seen() -> None:
 
 def test_a_pool_without_a_tag_is_said() -> None:
     source = CameraFixes(frames(5, None), calibration(SCENE), "camera 0")
-    with pytest.raises(InputError, match=r"camera 0 saw no tag within 0\.5 s \(5 x no tag\): put the robot"):
+    with pytest.raises(InputError, match=r"camera 0 saw no tag within 0\.5 s \([1-5] x no tag\): put the"):
         source.wait_first(0.5)
     source.close()
 

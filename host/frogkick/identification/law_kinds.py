@@ -191,8 +191,9 @@ def _swinging(title: str, on: str, key: str, strength: Strength, space: Space) -
 
 
 def _drags(title: str, by: str, *shape: Any) -> Kind:
-    """A drag against the motion and proportional to it, times a formula of the place or the time."""
-    formulas = {f"{axis}_n": f"-drag * {by} * {axis}_mps" for axis in ("forward", "left")}
+    """A drag against the motion and proportional to it, times a formula of the place or the time, if any."""
+    times = f"-drag * {by}" if by else "-drag"
+    formulas = {f"{axis}_n": f"{times} * {axis}_mps" for axis in ("forward", "left")}
     return Kind(title, {"on": "wrench", **formulas}, {"drag": ("N s/m", -10.0, 10.0, 0.1)}, *shape)
 
 
@@ -258,7 +259,7 @@ def _wrenches(space: Space) -> list[Kind]:
             [{**each, "edge": edge} for each in space.lines for edge in (0.02, 0.15)],
         ),
         # The same with the line or the patch around all of the runs, which no table could contain.
-        _drags("drag by speed", "1"),
+        _drags("drag by speed", ""),
         Kind(
             "drag power",
             {

@@ -79,6 +79,10 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda _: fk.identify(["a.h5", "b.h5"], test="./b.h5"),
         "run 'b.h5' is a training run and a test run: its test would show how well it was fitted",
     ),
+    "a run alone that does not exist": (
+        lambda _: fk.retune("a.h5", robot="frog2022", out="new"),
+        "run 'a.h5' does not exist",
+    ),
     "a robot to emit": (
         lambda robot: fk.emit_c(robot, "emitted"),
         "table image is given as Robot: give a file",

@@ -94,6 +94,14 @@ def test_wrong_starts_of_a_users_effect_are_named(tmp_path: Path, starts: str, w
         sensitivity_of_own(tmp_path / "bad.py")
 
 
+def test_options_that_are_no_table_are_named(tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text(
+        "class Bad:\n    options = ['limb']\n\n    def wrench(self, time_s, body):\n        return 0, 0, 0\n"
+    )
+    with pytest.raises(InputError, match=r"effect 'Bad': options are \['limb'\]: give {'limb': 'all'}"):
+        catalogue(robot(), tmp_path / "bad.py")
+
+
 def sensitivity_of_own(file: Path) -> None:
     """Derivatives by the effect in a user's file."""
     data, model = Data([make_swim([], 9, 6)], np.ones(6, dtype=bool)), Model(robot(), (), NOISE)

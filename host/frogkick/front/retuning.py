@@ -135,7 +135,7 @@ class Retuning:
 
 @typed
 def retune(
-    runs: Sequence[Given],
+    runs: Given | Sequence[Given],
     *,
     robot: Robot | str,
     out: Path | str,
@@ -152,8 +152,8 @@ def retune(
     """Identify what a model lacks, make a table with it, and keep the table if it predicts better.
 
     Args:
-        runs: the robot's last runs in the order of their dates. The last run is the test run; of a single run
-            the last third is.
+        runs: the robot's last runs in the order of their dates, or one. The last run is the test run; of a
+            single run the last third is.
         robot: the robot that its table was made from, its name or its TOML file.
         out: folder, new or empty, for ``robot.toml``, ``library.h5``, ``before.fkt`` (the old table), and
             ``tables.fkt`` with ``firmware``, or ``refused.fkt`` if the new table is no better. The folder is
@@ -182,7 +182,8 @@ def retune(
     require_writable(folder, folder=True)
     require_new(folder)
     described = load_robot(robot)
-    swims, unused = reliable([segments_of(*log_of(each), described) for each in runs])
+    every = [runs] if isinstance(runs, Given) else runs
+    swims, unused = reliable([segments_of(*log_of(each), described) for each in every])
     left_out(unused)
     require_held_out(swims[:-1], swims[-1:])
     old = None if table is None else _carried(table, described)

@@ -172,7 +172,9 @@ def law_term(
 
 def _options(kind: type, robot: Robot) -> list[dict[str, Any]]:
     """Option values to try: each limb and the default; each word of limb names; each side of a pool."""
-    options: Mapping[str, Any] = getattr(kind, "options", {})
+    options: object = getattr(kind, "options", {})
+    if not isinstance(options, Mapping):
+        raise InputError(f"effect {kind.__name__!r}: options are {options!r}: give {{'limb': 'all'}} or such")
     if "limb" in options:
         names = [limb.name for limb in robot.limbs]
         default = [options["limb"]] if options["limb"] is not None else []

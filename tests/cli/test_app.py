@@ -252,3 +252,18 @@ def test_what_a_users_file_prints_is_not_in_the_json(
         printed = capfd.readouterr()
         assert isinstance(json.loads(printed.out), dict)
         assert "loaded" in printed.err
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_letters_that_a_terminal_lacks_are_escaped(tmp_path: Path, encoding: str) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text('base = "frog2022"\nid = "mine"\ntitle = "\u03b1 na\u00efve"\n', encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "frogkick.cli.main", "robot", "show", file],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        check=False,
+    )
+    title = "\\u03b1 na\u00efve" if encoding == "cp1252" else "\\u03b1 na\\xefve"
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.decode(encoding).startswith(f"mine: {title}\n")

@@ -14,8 +14,9 @@ from elftools.elf.elffile import ELFFile
 from tests.codegen import made_up
 from tests.conftest import from_ci, some
 
+import frogkick as fk
 from frogkick.front.building import measure_emitted
-from frogkick.planner.plan import PlanConfig, plan
+from frogkick.planner.plan import PlanConfig, config_of, plan
 from frogkick.tables.image import open_image
 from frogkick_codegen import toolchain
 from frogkick_codegen.emit import PARTS, SOURCES, Figures, build_planner, emit
@@ -191,3 +192,30 @@ def test_every_warning_is_an_error_and_none_is_there(emitted: Emitted, tmp_path:
         arguments = [*toolchain.FLAGS, *more, "-c", emitted.folder / name, "-o", tmp_path / "one.o"]
         toolchain.zig().run(arguments)
     assert set(SOURCES) <= names_of(list(emitted.folder.iterdir()))
+
+
+def test_the_code_has_the_weights_of_its_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def require_config(config: PlanConfig, robot: fk.Robot | None) -> None:
+        assert f"#define FK_CONFIG_DEPTH {config.depth}U\n" in text
+        assert f"#define FK_CONFIG_COST {config.cost}U " in text
+        assert f"#define FK_CONFIG_DISTANCE_WEIGHT_PER_M {config.distance_weight_per_m:.1f}f\n" in text
+        assert robot is None or robot.sha256.hex() in text
+
+    file = tmp_path / "my robot.toml"
+    file.write_text('base = "frog2022"\nid = "mine"\n[planner]\ndistance_weight_per_m = 640.0\ndepth = 2\n')
+    mine = fk.load_robot(file)
+    table = fk.fit_table(fk.build_library(mine, states=2, workers=1), kind="nearest")
+    table.save(tmp_path / "t.fkt")
+    own = config_of(mine.planner)
+    for given, robot, config in (
+        (table, None, own),
+        (tmp_path / "t.fkt", file, own),
+        (tmp_path / "t.fkt", None, PlanConfig()),
+    ):
+        fk.emit_c(given, tmp_path / "c", robot=robot)
+        text = (tmp_path / "c" / "fk_config.h").read_text()
+        require_config(config, None if config is not own else mine)
+        said = capsys.readouterr().err
+        assert ("the weights of the paper and depth 1, not its robot's" in said) == (config is not own)
+    with pytest.raises(fk.InputError, match="is for robot 'mine', this robot is 'frog2022'"):
+        fk.emit_c(tmp_path / "t.fkt", tmp_path / "c", robot="frog2022")

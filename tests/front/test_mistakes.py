@@ -20,11 +20,16 @@ from frogkick.front.retune_tables import TableMaker
 
 MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
     "an action's number": (lambda _: fk.simulate("frog2022", [1]), "no action 1: choose from A, B"),
+    "a length as text": (lambda _: fk.paths.line("1"), "line: length '1' m: give a finite length"),
     "a number of actions": (lambda _: fk.simulate("frog2022", 3), "actions is 3: give names"),
     "mm/s": (lambda _: fk.simulate("frog2022", "B", velocity_body=(20, 0, 0)), "(20, 0, 0): give forward"),
     "two velocities": (
         lambda _: fk.simulate("frog2022", "B", velocity_body=(0.01, 0)),
         "(0.01, 0): give forward",
+    ),
+    "a column as a velocity": (
+        lambda _: fk.simulate("frog2022", "B", velocity_body=np.zeros((3, 1))),
+        "array([[0.],        [0.],        [0.]]): give forward",
     ),
     "one velocity": (lambda _: fk.simulate("frog2022", "B", velocity_body=0.02), "0.02: give forward"),
     "a velocity as text": (lambda _: fk.simulate("frog2022", "B", velocity_body="0,0,0"), "'0,0,0': give"),
@@ -237,7 +242,10 @@ def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
             lambda _: fk.paths.line(points=None, lenght_m=1),
             "line: got an unexpected keyword argument 'lenght_m'",
         ),
-        (lambda of: fk.fit_table(of["Library"], progress=5), "fit_table: progress is 5, give Progress"),
+        (
+            lambda of: fk.fit_table(of["Library"], progress=5),
+            "fit_table: progress is 5, give True, False or a function",
+        ),
         (lambda of: fk.run(of["Table"], then=None), "run: then is None, give Then | Sequence[Then]"),
         (lambda of: fk.run(of["Table"], learn="False"), "run: learn is 'False', give bool"),
         (lambda _: fk.simulate(5.5), "5.5"),

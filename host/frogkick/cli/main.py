@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted, by Ctrl-C, S
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -172,13 +173,15 @@ def main() -> None:
 
 
 def _open_closed_streams() -> None:
-    """Discard what is printed if standard output or error was closed (``>&-``).
+    """Discard what is printed if standard output or error was closed (``>&-``), and escape what cannot be.
 
     Python would print to the other one of the two, and the next file that is opened would be in its place.
     """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal of cp1252 lacks letters that a file's name has
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _ignore_signals() -> None:

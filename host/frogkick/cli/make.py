@@ -230,6 +230,7 @@ def show_table(
 def codegen(
     tables: TableArgument,
     out: Annotated[Path, "Folder to write."],
+    robot: opt.Model = None,
     measured: Annotated[
         bool,
         "Measure sizes and times on the virtual chip and write them into the README.",
@@ -237,9 +238,12 @@ def codegen(
     ] = True,
     json: opt.Json = False,
 ) -> None:
-    """Generate C99 from a table and the planner, with a README of their sizes and times on the chip."""
+    """Generate C99 from a table and the planner, with a README of their sizes and times on the chip.
+
+    The planner's weights and depth are those of the robot's file.
+    """
     require_writable(out, folder=True)
-    files = fk.emit_c(tables, out, measure=measured, progress=True)
+    files = fk.emit_c(tables, out, robot=robot, measure=measured, progress=True)
     show(
         {"out": str(out), "files": files}, json, "\n".join(f"{files[name]}  {name}" for name in sorted(files))
     )

@@ -6,6 +6,7 @@ import collections.abc
 import functools
 import inspect
 import numbers
+import re
 import reprlib
 import types
 import typing
@@ -15,6 +16,9 @@ from typing import Any, TypeVar
 from frogkick.core.errors import FrogkickError, InputError
 
 Called = TypeVar("Called", bound=Callable[..., Any])
+
+_PLAIN = {"ArrayLike": "numbers of one shape", "Progress": "True, False or a function of (done, all)"}
+"""What is said for the name of a type that says little to a user."""
 
 
 class ArgumentError(InputError, TypeError):
@@ -67,7 +71,10 @@ def _checked(function: Callable[..., Any], shown: str) -> Callable[..., Any]:
             if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 continue
             if (not early or early_only or _is_switch(hints[name])) and not fits(value, hints[name]):
-                raise ArgumentError(f"{shown}: {name} is {reprlib.repr(value)}, give {parameter.annotation}")
+                wanted = "".join(
+                    _PLAIN.get(word, word) for word in re.split(r"\b", str(parameter.annotation))
+                )
+                raise ArgumentError(f"{shown}: {name} is {reprlib.repr(value)}, give {wanted}")
 
     @functools.wraps(function)
     def call(*args: Any, **given: Any) -> Any:

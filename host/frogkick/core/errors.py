@@ -13,6 +13,9 @@ class FrogkickError(Exception):
     The command line prints the text and exits with code 2. Other packages derive their own classes from it.
     """
 
+    def __str__(self) -> str:
+        return " ".join(super().__str__().split("\n"))  # a value such as an array may have several lines
+
 
 class CheckError(FrogkickError):
     """A check failed while a command ran; the command line exits with code 1."""

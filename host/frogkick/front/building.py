@@ -18,12 +18,12 @@ import numpy as np
 from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError, require
 from frogkick.core.files import existing_file
-from frogkick.core.progress import Progress, shown
+from frogkick.core.progress import Progress, shown, tell_line
 from frogkick.front.places import built_firmware
 from frogkick.front.tables import Table, load_table
 from frogkick.paths import SHAPES, shape
-from frogkick.planner.plan import PlanConfig
-from frogkick.robot import Robot
+from frogkick.planner.plan import PlanConfig, config_of
+from frogkick.robot import Robot, load_robot
 from frogkick.tables.image import read_image
 from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, emit
 from frogkick_codegen.firmware import CHIPS, Firmware, build, require_tools
@@ -67,13 +67,21 @@ def build_firmware(
 
 @typed
 def emit_c(
-    table: Table | Path | str, out: Path | str, *, measure: bool = False, progress: Progress = False
+    table: Table | Path | str,
+    out: Path | str,
+    *,
+    robot: Robot | Path | str | None = None,
+    measure: bool = False,
+    progress: Progress = False,
 ) -> dict[str, str]:
     """Write table and planner as C99 into a folder, with an example and a README.
 
     Args:
         table: the table or its file.
         out: the folder to make; a folder that was generated before is replaced, any other is refused.
+        robot: whose planner's weights and depth the code gets, its name or its TOML file; None: the robot of
+            a table in memory, or the one that the file names, built-in or ID.toml beside it. Where that one
+            cannot be used, the code gets the weights of the paper and depth 1, and a line on stderr says so.
         measure: build for the chip and run on the virtual chip, for sizes and times in the README.
         progress: of measuring: True for a bar, or a function of (done, all).
 
@@ -81,19 +89,30 @@ def emit_c(
         File name -> SHA-256 of its content, hexadecimal.
 
     Raises:
-        InputError: the folder holds something else, or cannot be written.
+        InputError: the folder holds something else, or cannot be written, or the robot does not fit.
         TableError: the file is not a valid table image.
     """
     image = table.image if isinstance(table, Table) else read_image(table).image
     name = table.name if isinstance(table, Table) else Path(table).name
-    figures = None
+    config, robot_sha256, figures = PlanConfig(), None, None
+    try:
+        known = load_table(table, robot if robot is None else load_robot(robot)).robot
+        config, robot_sha256 = config_of(known.planner), known.sha256
+    except InputError as error:
+        if robot is not None:
+            raise
+        tell_line(
+            f"frogkick: the planner gets the weights of the paper and depth 1, not its robot's: {error}"
+        )
     if measure:
         with tempfile.TemporaryDirectory(prefix="frogkick-table-") as folder:
             file = Path(folder) / name
             file.write_bytes(image)
             with shown(progress, "measuring") as tell:
-                figures = measure_emitted(file, progress=tell)
-    return emit(image, out, f"frogkick codegen {name} --out {Path(out).name}", figures=figures)
+                figures = measure_emitted(file, config, progress=tell)
+    named = "" if robot is None or isinstance(robot, Robot) else f" --robot {Path(robot).name}"
+    command = f"frogkick codegen {name}{named} --out {Path(out).name}"
+    return emit(image, out, command, config, robot_sha256, figures)
 
 
 def measure_emitted(

@@ -102,7 +102,7 @@ def plan_config(
     else:
         config = PlanConfig()
     chosen = config.depth if depth is None else depth
-    if not isinstance(chosen, int | np.integer) or not 1 <= chosen <= 4:
+    if isinstance(chosen, bool) or not isinstance(chosen, int | np.integer) or not 1 <= chosen <= 4:
         raise InputError(f"--depth is {chosen!r}, allowed is 1 to 4: give a whole number of that range")
     return dataclasses.replace(config, depth=chosen)
 

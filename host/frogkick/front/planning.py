@@ -89,7 +89,7 @@ class Planner:
             InputError: a state of other than six numbers.
             PlanError: the state allows no decision.
         """
-        if np.shape(state) != (6,):
+        if np.shape(state) != (6,) or np.iscomplexobj(state):
             raise InputError(
                 f"state is {state!r}: give six numbers, x, y (m), heading (rad), forward, left (m/s), "
                 "turn rate (rad/s)"

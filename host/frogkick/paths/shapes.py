@@ -57,7 +57,7 @@ def _checked(name: str, length_m: float, points: int) -> tuple[float, Float64]:
     """Return the length, and the parameter s of the points, from 0 to 1."""
     s = np.linspace(0.0, 1.0, _check_points(points, name))
     if not (_is_finite(length_m) and length_m > 0.0):
-        raise InputError(f"{name}: length {length_m} m: give a finite length above 0 m")
+        raise InputError(f"{name}: length {length_m!r} m: give a finite length above 0 m")
     return float(length_m), s
 
 

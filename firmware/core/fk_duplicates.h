@@ -4,8 +4,9 @@
  *
  * A frame repeats a command if its sequence number and its CRC-32 (over type, sequence and payload) are those of one
  * that is kept. The last FK_DUPLICATES_KEPT commands that change something are kept, each for the next
- * FK_DUPLICATES_SPAN sequence numbers; after these the host may use the number again. Chunks of a table, of which there
- * are hundreds, have places of their own: an ARM that comes again behind them must still be known.
+ * FK_DUPLICATES_SPAN sequence numbers; after these the host may use the number again. A frame that is later than that
+ * cannot be told from one as far ahead: it acts, and all that were kept are forgotten. Chunks of a table, of which there are
+ * hundreds, have places of their own: an ARM that comes again behind them must still be known.
  */
 #ifndef FK_DUPLICATES_H
 #define FK_DUPLICATES_H

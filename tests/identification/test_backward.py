@@ -13,6 +13,7 @@ from frogkick.effects.acting import LEG_S
 from frogkick.effects.limbs import DELAYS_S
 from frogkick.identification.backward import (
     backward_elimination,
+    resolve_equivalent,
     revise,
     stability,
     superfluous_term,
@@ -36,7 +37,7 @@ from frogkick.identification.refine import from_grids
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Data, Segments
 from frogkick.identification.steps import deviance_of
-from frogkick.identification.terms import Term
+from frogkick.identification.terms import Term, catalogue
 
 QUIET = Noise((2e-4, 3.5e-3), (2e-5, 5e-4), (2e-5, 5e-4))
 WEAR = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
@@ -49,6 +50,24 @@ def held_but(model: Model, *free: int) -> Model:
 def fitted_to(data: Data, terms: tuple[Term, ...], *free: int) -> Fitted:
     model = held_but(Model(robot(), terms, QUIET, REFINING_LEG_S), *free)
     return derivatives([fit(model, data, 4).model], data)[0]
+
+
+def test_a_law_that_amounts_to_wear_of_a_limb_is_named_as_wear() -> None:
+    """A law by heading that does not depend on the heading, as it remains beside a tether."""
+    swims = [make_swim([WEAR], 3, 8)]
+    data = Data(swims, np.ones(8, dtype=bool))
+    kinds = {kind.named: kind for kind in kinds_of(robot(), swims)}
+    every, rhythm = (kinds[f"stroke {name} rear_left"] for name in ("by heading", "in rhythm"))
+    others = [rhythm.term(rhythm.grid[0]), term("limb_wear rear_right")]
+    law = fitted_to(data, (every.term({}).at((-0.28, 0.0, 0.0)),), 0)
+    named, alike = resolve_equivalent(data, law, [others], catalogue(robot()))
+    (wear,) = named.model.terms
+    assert wear.title == "limb_wear rear_left" and wear.values[0] == pytest.approx(
+        1.0 + law.model.values[0], abs=4e-3
+    )
+    assert [each.title for each in alike[0]] == ["limb_wear rear_right"]
+    turning = fitted_to(data, (every.term({}).at((-0.28, 0.05, 0.0)),), 0, 1)
+    assert resolve_equivalent(data, turning, [[]], catalogue(robot()))[0] is turning
 
 
 @pytest.fixture(scope="module")

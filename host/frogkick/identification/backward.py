@@ -5,7 +5,7 @@ The first effect that a search takes may stand for several that it finds later.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -141,9 +141,19 @@ def resolve_equivalent(
 ) -> tuple[Fitted, list[list[Term]]]:
     """The model with the simpler of two equivalent effects (EQUIVALENT), where it has either.
 
-    Also what is confounded with each term, the other of the two included. ``candidates`` is the catalogue.
+    A law that amounts to the wear of a limb is replaced by it. Also what is confounded with each term, the
+    other of the two included. ``candidates`` is the catalogue.
     """
     known, found = {term.title: term for term in candidates}, [list(others) for others in confounded]
+    for place, term in enumerate(current.model.terms):
+        if (worn := _as_wear(term, known)) is not None:
+            (plain,) = fit_many([current.model.with_term_at(place, worn)], data, STEPS_MAX)
+            if (
+                plain.penalised_deviance
+                < current.penalised_deviance + CONFOUNDED_MARGIN * data.replicate_count
+            ):
+                current = refined(plain, data)
+                found[place] = [each for each in found[place] if _as_wear(each, known) is None]
     for place, term in enumerate(current.model.terms):
         if term.title not in EQUIVALENT or not set(EQUIVALENT) <= known.keys():
             continue
@@ -155,6 +165,24 @@ def resolve_equivalent(
         current, rivals = swap_step(data, current, place, [other.at(values)], EQUIVALENT_MARGIN)
         found[place] += rivals
     return current, found
+
+
+def _as_wear(law: Term, known: Mapping[str, Term]) -> Term | None:
+    """The wear of a limb that a law on its strokes amounts to; None if it does more than change the gain.
+
+    Of a limb that is weaker at all times, a law by heading or in rhythm is chosen where its further strengths
+    take up what an effect does that is found later. Beside that one they vanish.
+    """
+    table, values = dict(law.table), dict(zip((p.name for p in law.parameters), law.values, strict=True))
+    worn = known.get(f"limb_wear {table.get('limb')}")
+    if law.name != "law" or table["on"] != "stroke" or "here" not in values or worn is None:
+        return None
+    strengths = {p.name for p in law.parameters if p.nominal == 0.0} - {"here"}
+    if worn.name != "limb_wear" or any(values[name] for name in strengths):
+        return None
+    gain = 1.0 + values["here"]
+    at = worn.at([gain if p.name == "gain" else p.nominal for p in worn.parameters])
+    return at if gain in at.values else None
 
 
 def swap_step(

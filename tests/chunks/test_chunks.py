@@ -51,6 +51,11 @@ def die(ready: list[int], task: int) -> int:
     return task
 
 
+def rest_long(ready: list[int], task: int) -> int:
+    time.sleep(60.0 * task)
+    return task
+
+
 def rest(ready: list[int], task: int) -> int:
     time.sleep(0.1)
     return task
@@ -86,6 +91,16 @@ def test_ctrl_c_counts_even_where_it_was_swallowed(workers: int) -> None:
 def test_a_killed_process_is_said() -> None:
     with pytest.raises(FrogkickError, match="worker process ended unexpectedly"):
         list(run_chunks(Job(start, (0,), die, len), range(4), 2))
+
+
+def test_nobody_waits_for_chunks_that_are_not_wanted_any_more() -> None:
+    """A chunk of identification takes many seconds, and Ctrl-C is answered at once."""
+    began_s = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        for found in run_chunks(Job(start, (0,), rest_long, len), range(4), 2):
+            assert found == (0, 0)
+            raise KeyboardInterrupt
+    assert time.monotonic() - began_s < 20.0
 
 
 @pytest.mark.parametrize("workers", [0, 257])

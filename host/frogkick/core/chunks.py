@@ -20,7 +20,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ def run_chunks(
 ) -> Iterator[tuple[int, Result]]:
     """Run one chunk for each task, and yield (index of the task, its result) as they finish.
 
-    If the caller stops early, chunks that have begun on the pool are finished and dropped; a cluster drops
+    If the caller stops early, chunks that have begun on the pool are ended and dropped; a cluster drops
     those that wait.
 
     Args:
@@ -160,9 +160,10 @@ def _on_pool(
         initializer=_start_worker,
         initargs=(job.start, job.given, job.run),
     )
+    pending: dict[Future[Any], int] = {}
     try:
         with ctrl_c_waits():
-            pending = {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
+            pending |= {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
         for future in as_completed(pending):
             check()
             yield pending.pop(future), future.result()
@@ -171,6 +172,9 @@ def _on_pool(
             "a worker process ended unexpectedly (killed, or out of memory): use fewer --workers"
         ) from error
     finally:
+        if pending:  # nobody waits for what still runs, which may take long
+            for process in [*(executor._processes or {}).values()]:
+                process.kill()
         executor.shutdown(wait=True, cancel_futures=True)
 
 

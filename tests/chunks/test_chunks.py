@@ -96,10 +96,9 @@ def test_a_killed_process_is_said() -> None:
 def test_nobody_waits_for_chunks_that_are_not_wanted_any_more() -> None:
     """A chunk of identification takes many seconds, and Ctrl-C is answered at once."""
     began_s = time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        for found in run_chunks(Job(start, (0,), rest_long, len), range(4), 2):
-            assert found == (0, 0)
-            raise KeyboardInterrupt
+    for found in run_chunks(Job(start, (0,), rest_long, len), range(4), 2):
+        assert found == (0, 0)
+        break  # the generator is closed, as after Ctrl-C
     assert time.monotonic() - began_s < 20.0
 
 

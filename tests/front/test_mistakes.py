@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 import frogkick as fk
 from frogkick.core.arguments import ArgumentError, fits, typed
+from frogkick.core.files import sole_writer
 from frogkick.core.progress import Progress
 from frogkick.front.retune_tables import TableMaker
 
@@ -151,6 +152,15 @@ def test_a_mistake_with_a_table_is_told_in_one_line(mistake: str, table: fk.Tabl
         do(table)
     assert reported in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_two_libraries_are_not_built_into_one_file(tmp_path: Path) -> None:
+    with (
+        sole_writer(tmp_path / "lib.h5"),
+        pytest.raises(fk.InputError, match="another process is about to write"),
+    ):
+        fk.build_library("frog2022", 2, workers=1, out=tmp_path / "lib.h5")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_budget_as_text_is_told(robot: fk.Robot, table: fk.Table) -> None:

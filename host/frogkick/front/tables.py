@@ -21,7 +21,7 @@ from frogkick import library as libraries
 from frogkick.core.arguments import typed
 from frogkick.core.chunks import numerical_versions
 from frogkick.core.errors import InputError
-from frogkick.core.files import cache_folder, existing_file, one_at_a_time, write_bytes
+from frogkick.core.files import cache_folder, existing_file, one_at_a_time, sole_writer, write_bytes
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.effects.registry import own_code
 from frogkick.front.html import page_of
@@ -299,6 +299,7 @@ def build_library(
         else:
             file = Path(out)
             stack.enter_context(_reports_finished_parts(file))
+            stack.enter_context(sole_writer(file))  # and of the checkpoints beside it
         tell = stack.enter_context(shown(progress, "library"))
         processes = 1 if cluster else workers or os.cpu_count() or 1
         made = libraries.build_library(

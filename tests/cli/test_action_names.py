@@ -68,6 +68,9 @@ def test_a_robot_whose_actions_are_words_swims_by_them(
         capsys, "replay", "run.h5", "--model", file, "--tables", "tri.fkt", "--robot", "pool", "--json"
     )
     assert replayed.json["actions"] == replayed.json["recorded_actions"] == in_a_row(log.actions)
+    assert "was planned with table" not in replayed.stderr
+    fk.replay("run.h5", table=fk.fit_table(fk.build_library(file, 8, seed=1, workers=1)), plan="host")
+    assert "was planned with table" in capsys.readouterr().err
     assert frogkick(capsys, "export", "run.h5", "--csv", "--out", "csv").code == 0
     rows = list(csv.DictReader(Path("csv/decisions.csv").read_text(encoding="utf-8").splitlines()))
     assert tuple(row["action_name"] for row in rows) == log.actions

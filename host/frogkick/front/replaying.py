@@ -10,7 +10,7 @@ from typing import Any
 from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
-from frogkick.core.progress import Progress, shown
+from frogkick.core.progress import Progress, shown, tell_line
 from frogkick.front.logs import Run, run_of
 from frogkick.front.places import (
     built_firmware,
@@ -120,6 +120,11 @@ def replay(
         raise InputError(
             f"run {recorded.source!r} has a period of {recorded.period_s:.3f} s, but the table has "
             f"{period_s:.3f} s: build a library and a table with the run's period"
+        )
+    if recorded.table_crc not in (None, used.crc32):
+        tell_line(
+            f"frogkick: run {recorded.source!r} was planned with table {recorded.table_crc:08x}, and this "
+            f"replay uses {used.crc32:08x}: give the run's own table (--tables) to repeat its decisions"
         )
     config = plan_config(described, planner, depth, recorded)
     with ExitStack() as stack:

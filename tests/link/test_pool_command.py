@@ -153,19 +153,22 @@ def test_a_run_by_a_tracker_s_lines_and_the_robot_s_log(
     pool: Served, camera: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What ``camera track`` finds in the pictures, piped into ``run --fixes stdin``."""
-    assert pool.act("put 0.3,0.4,20") == "the robot lies at 0.3, 0.4 m, 20 degrees"
-    tracker = subprocess.Popen(
-        [*COMMAND, "camera", "track", str(camera), "--source", pool.source],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    try:
-        options = ("--fixes", "stdin", "--simulated-time", f"{2.5 * PERIOD_S}", "--out", tmp_path / "run.h5")
-        running = run_command(pool, *options, stdin=tracker.stdout)
-        reported, said = running.communicate(timeout=120.0)
-    finally:
-        tracker.terminate()
-        tracker.communicate()
-    assert running.returncode == 0, said
+    options = ("--fixes", "stdin", "--simulated-time", f"{2.5 * PERIOD_S}", "--out", tmp_path / "run.h5")
+    for _ in range(3):
+        assert pool.act("put 0.3,0.4,20") == "the robot lies at 0.3, 0.4 m, 20 degrees"
+        tracker = subprocess.Popen(
+            [*COMMAND, "camera", "track", str(camera), "--source", pool.source],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        try:
+            running = run_command(pool, *options, stdin=tracker.stdout)
+            reported, said = running.communicate(timeout=120.0)
+        finally:
+            tracker.terminate()
+            _, tracked = tracker.communicate()
+        if "has given no picture for" not in tracked:  # as on a machine too busy to draw them
+            break
+    assert running.returncode == 0, said + tracked
     numbers, log = json.loads(reported), read_run(tmp_path / "run.h5")
     assert numbers["ended"] == TIME and numbers["decisions"] >= 2 and numbers["progress_mps"] > 0.005
     assert (log.fixes.x_m[0], log.fixes.y_m[0]) == pytest.approx((0.3, 0.4), abs=1e-3)

@@ -6,7 +6,6 @@ import hashlib
 import html
 import math
 import os
-import re
 import string
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -209,10 +208,9 @@ class Robot:
         if abs(period_s / self.period_s - 1.0) <= PERIOD_SAME:
             return self
         self.actuation(frequency_hz=1.0 / period_s)
-        text, period_s, frequency_hz = self.toml, float(period_s), 1.0 / float(period_s)
-        for key, value in (("period_s", period_s), ("profile_frequency_hz", frequency_hz)):
-            # The robot's own keys stand above those of all tables.
-            text = re.sub(rf"^{key} = .*$", f"{key} = {value!r}", text, count=1, flags=re.MULTILINE)
+        period_s, frequency_hz = float(period_s), 1.0 / float(period_s)
+        table = tomllib.loads(self.toml) | {"period_s": period_s, "profile_frequency_hz": frequency_hz}
+        text = to_toml(table)
         return replace(
             self,
             period_s=period_s,

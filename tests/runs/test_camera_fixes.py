@@ -60,7 +60,10 @@ def test_fixes_are_where_the_tag_is_and_when_it_was_seen(monkeypatch: pytest.Mon
 
 def test_a_pool_without_a_tag_is_said() -> None:
     source = CameraFixes(frames(5, None), calibration(SCENE), "camera 0")
-    with pytest.raises(InputError, match=r"camera 0 saw no tag within 0\.5 s \([1-5] x no tag\): put the"):
+    until_s = time.monotonic() + PATIENCE_S
+    while not source.ended and time.monotonic() < until_s:
+        time.sleep(0.01)
+    with pytest.raises(InputError, match=r"camera 0 saw no tag within 0\.5 s \(5 x no tag\): put the robot"):
         source.wait_first(0.5)
     source.close()
 

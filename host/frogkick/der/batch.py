@@ -18,7 +18,7 @@ from frogkick.der import body, stepping
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, Rods
-from frogkick.der.schedule import COARSEST_OF_PLATES, EULER_STEP_S, STEP_S, Schedule, Stroke
+from frogkick.der.schedule import COARSEST_OF_PLATES, EULER_STEP_S, STEP_S, Schedule, ScheduledStroke
 from frogkick.der.solve import SymbolicFactorisation
 from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, SCHEMES, Nodes, Scheme, workspace_of
 from frogkick.der.water import STILL, WATER, Water
@@ -145,7 +145,7 @@ class Checkpoint:
 
     nodes: tuple[Float64, ...]  # (n, 2) positions about the origin, velocities, accelerations
     water: Water  # the water around it
-    strokes: tuple[tuple[Stroke, ...], ...]  # strokes of each limb
+    strokes: tuple[tuple[ScheduledStroke, ...], ...]  # strokes of each limb
     origin_m: Float64  # (2,) origin, world frame
     time_s: float  # its clock
     failed: bool  # whether its simulation has failed
@@ -218,7 +218,7 @@ class Batch:
             gain: share of the measured stroke.
             duration_scale: duration of the limb's return over the measured one.
         """
-        self._schedule.fire(lane, limb, Stroke(float(time_s), float(gain), float(duration_scale)))
+        self._schedule.fire(lane, limb, ScheduledStroke(float(time_s), float(gain), float(duration_scale)))
 
     def set_water(self, lane: int, water: Water) -> None:
         """Set the flow around a lane's robot and its external acceleration from now on."""

@@ -39,7 +39,7 @@ COARSEST_OF_PLATES = 6.0  # the same with plates, which ring at 20 Hz: Newton's 
 AHEAD_S, BEHIND_S = 0.008, 0.016  # steps are fine so long before and after a large second derivative
 
 
-class Stroke(NamedTuple):
+class ScheduledStroke(NamedTuple):
     """A limb's stroke: its start, its gain, and the scale of its duration, over the measured stroke.
 
     The time until the limb is straight is the measured one; the rest is scaled by ``duration_scale``.
@@ -117,20 +117,20 @@ class Schedule:
         if longest_s <= step_s:
             self._profiles = self._profiles._replace(coarseness=np.ones_like(self._profiles.coarseness))
         self._step_s, self._longest_s = float(step_s), float(longest_s)
-        self._strokes: list[list[list[Stroke]]] = [[[] for _ in range(limbs)] for _ in actuations]
+        self._strokes: list[list[list[ScheduledStroke]]] = [[[] for _ in range(limbs)] for _ in actuations]
         self._changed = set(range(len(actuations)))
         self._tables = np.empty((0, 0)), np.empty((0, 0)), np.empty((0, limbs, 0, 3))
 
-    def fire(self, lane: int, limb: int, stroke: Stroke) -> None:
+    def fire(self, lane: int, limb: int, stroke: ScheduledStroke) -> None:
         """Add a stroke of a lane's limb."""
         self._strokes[lane][limb].append(stroke)
         self._changed.add(lane)
 
-    def strokes(self, lane: int) -> tuple[tuple[Stroke, ...], ...]:
+    def strokes(self, lane: int) -> tuple[tuple[ScheduledStroke, ...], ...]:
         """Return the current strokes of each limb of a lane."""
         return tuple(tuple(of_limb) for of_limb in self._strokes[lane])
 
-    def put(self, lane: int, strokes: Sequence[Sequence[Stroke]]) -> None:
+    def put(self, lane: int, strokes: Sequence[Sequence[ScheduledStroke]]) -> None:
         """Replace the strokes of a lane."""
         self._strokes[lane] = [list(of_limb) for of_limb in strokes]
         self._changed.add(lane)
@@ -283,7 +283,7 @@ def lay_out(
 
     Args:
         times, counts: see ``lane_times``.
-        strokes: (lanes, limbs, m, 3) fields of ``Stroke``; NaN for none.
+        strokes: (lanes, limbs, m, 3) fields of ``ScheduledStroke``; NaN for none.
         profiles: of the lanes.
         share: share of a step at which forces are evaluated.
         lengths: (k, 1, width), zeros; set where steps are.
@@ -366,7 +366,7 @@ def stroke_activation(
 
     Args:
         times_s: (k,) times.
-        strokes: (limbs, m, 3) fields of ``Stroke``; NaN for none.
+        strokes: (limbs, m, 3) fields of ``ScheduledStroke``; NaN for none.
         table: activation at each table_step_s since the start of a measured stroke.
         table_step_s: spacing of the table.
         peak_s: time of its largest value.

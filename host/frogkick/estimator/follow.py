@@ -8,7 +8,7 @@ import numpy as np
 
 from frogkick.core.arrays import Float32
 from frogkick.planner import costs
-from frogkick.planner.plan import Cost, PathLike, Plan, PlanConfig, path_rows
+from frogkick.planner.plan import BestBranch, Cost, PathLike, PlanConfig, path_rows
 from frogkick.tables.image import Tables
 
 IDLE_DECISIONS_MAX = 40
@@ -89,7 +89,7 @@ class Follow:
         across = away - parts * along
         return parts, across[0] * across[0] + across[1] * across[1]
 
-    def decided(self, plan: Plan, lacks_a_limb: bool = False) -> End | None:
+    def decided(self, plan: BestBranch, lacks_a_limb: bool = False) -> End | None:
         """Note a decision; return why the run ends with it, or None.
 
         Args:

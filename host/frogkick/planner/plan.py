@@ -151,8 +151,8 @@ def on_robot(config: PlanConfig, tables: Tables) -> PlanConfig:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A decision."""
+class BestBranch:
+    """The best branch of a search: its first action, and what the search found on the way."""
 
     action: int  # index into the table's actions
     nearest_state: int  # row of the table nearest to the state's velocity
@@ -173,7 +173,7 @@ def plan(
     state: npt.ArrayLike,
     limb_use: npt.ArrayLike | None = None,
     along_points: float = 0.0,
-) -> Plan:
+) -> BestBranch:
     """Choose the next action.
 
     Args:
@@ -200,7 +200,7 @@ def plan(
     values: dict[str, Any] = {name: int(row[name]) for name in numbers}
     values |= {name: row[name] for name in ("cost", "distance_m", "along_points")}
     used = row["predicted_limb_use"].astype(np.uint16)
-    return Plan(**values, predicted=row["predicted"].copy(), predicted_limb_use=used)
+    return BestBranch(**values, predicted=row["predicted"].copy(), predicted_limb_use=used)
 
 
 def plan_batch(

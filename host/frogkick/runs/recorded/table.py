@@ -75,40 +75,8 @@ def read_table(file: pathlib.Path | str) -> Table:
     """
     source = existing_file(file, "recorded run")
     name = source.name
-    try:
-        text = source.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raw = source.read_bytes()
-        if any(FIRST_CELL.encode(code) in raw for code in ("ascii", "utf-16-le", "utf-16-be")):
-            raise InputError(
-                f"recorded run {name!r} is not UTF-8 from byte {error.start} on: save it again as UTF-8"
-            ) from error
-        raise InputError(
-            f"{name!r} is not a run: give a log (.h5) of 'frogkick run', or a recorded one like line1.csv"
-        ) from error
-    try:
-        reader = csv.reader(text.replace("\0", "?").splitlines())
-        numbered = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
-    except csv.Error as error:
-        raise InputError(f"{name!r} is not a recorded run ({error}): give a run like line1.csv") from error
-    lines = [cells for _, cells in numbered]
-    if not lines or lines[0][0].strip() != FIRST_CELL:
-        first = lines[0][0].strip() if lines else ""
-        if first.startswith(FIRST_CELL):
-            raise InputError(
-                f"recorded run {name!r} separates its columns by {first[len(FIRST_CELL)]!r}: needed are "
-                "commas, and a point in decimal numbers"
-            )
-        raise InputError(
-            f"{name!r} is not a recorded run (no {FIRST_CELL!r} in line 1): give one like line1.csv"
-        )
-    header = tuple(cell.strip() for cell in lines[1]) if len(lines) > 1 else ()
-    missing = [column for column in HEADER if column not in header]
-    if missing:
-        raise InputError(
-            f"recorded run {name!r}: column {missing[0]!r} is missing in line "
-            f"{numbered[1][0] if len(numbered) > 1 else 2}: give the whole file"
-        )
+    numbered = _numbered_lines(source)
+    _check_header(name, numbered)
     rows = numbered[HEADER_LINES:]
     if len(rows) < 2:
         raise InputError(f"recorded run {name!r} holds {len(rows)} rows: at least 2 are needed")
@@ -133,7 +101,7 @@ def read_table(file: pathlib.Path | str) -> Table:
         action[index] = ACTION_NAMES.index(label)
     time_ms, carried = _carry_midnight(values[:, 0], name, [number for number, _ in rows])
     return Table(
-        started=lines[0][1].strip() if len(lines[0]) > 1 else "",
+        started=numbered[0][1][1].strip() if len(numbered[0][1]) > 1 else "",
         time_s=(time_ms - time_ms[0]) * 1e-3,
         carried=carried,
         pose_world=values[:, 1:4],
@@ -141,6 +109,48 @@ def read_table(file: pathlib.Path | str) -> Table:
         cost=values[:, 7:11],
         action=action,
     )
+
+
+def _numbered_lines(source: pathlib.Path) -> list[tuple[int, list[str]]]:
+    """(number in the file, cells) of the lines of a CSV file that are not empty."""
+    name = source.name
+    try:
+        text = source.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raw = source.read_bytes()
+        if any(FIRST_CELL.encode(code) in raw for code in ("ascii", "utf-16-le", "utf-16-be")):
+            raise InputError(
+                f"recorded run {name!r} is not UTF-8 from byte {error.start} on: save it again as UTF-8"
+            ) from error
+        raise InputError(
+            f"{name!r} is not a run: give a log (.h5) of 'frogkick run', or a recorded one like line1.csv"
+        ) from error
+    try:
+        reader = csv.reader(text.replace("\0", "?").splitlines())
+        return [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+    except csv.Error as error:
+        raise InputError(f"{name!r} is not a recorded run ({error}): give a run like line1.csv") from error
+
+
+def _check_header(name: str, numbered: Sequence[tuple[int, list[str]]]) -> None:
+    """Refuse lines that do not begin as the authors' logger begins a file."""
+    first = numbered[0][1][0].strip() if numbered else ""
+    if first != FIRST_CELL:
+        if first.startswith(FIRST_CELL):
+            raise InputError(
+                f"recorded run {name!r} separates its columns by {first[len(FIRST_CELL)]!r}: needed are "
+                "commas, and a point in decimal numbers"
+            )
+        raise InputError(
+            f"{name!r} is not a recorded run (no {FIRST_CELL!r} in line 1): give one like line1.csv"
+        )
+    line, cells = numbered[1] if len(numbered) > 1 else (2, [])
+    header = {cell.strip() for cell in cells}
+    missing = [column for column in HEADER if column not in header]
+    if missing:
+        raise InputError(
+            f"recorded run {name!r}: column {missing[0]!r} is missing in line {line}: give the whole file"
+        )
 
 
 def _number(cell: str, where: str) -> float:

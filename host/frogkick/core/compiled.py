@@ -1,8 +1,8 @@
 """Compiled functions in numba's cache on disk, and when they are compiled again.
 
-numba compiles again if a function's own file or closure changes, but not if a file that the function calls
-into changes. So a cached function that calls functions of other files encloses a hash of its package's
-source.
+numba compiles again if a function's own file or closure changes, but not if another file changes from which
+it takes a function or a constant. So a cached function that calls functions of other files encloses a hash of
+its package's source, and ``cached_njit`` watches the constants.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ import hashlib
 from collections.abc import Callable
 from importlib import resources
 from typing import Any
+
+import numpy as np
 
 BARE: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 """Options of numba's njit for a function that allocates no arrays.
@@ -24,11 +26,15 @@ ALLOCATING: dict[str, Any] = {**INNER, "_nrt": True}
 """As INNER, for a function that allocates arrays."""
 
 
+_CONSTANTS = (int, float, str, tuple, np.generic)  # types of constants that compiled code contains
+
+
 def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return numba's njit for a function that is cached on disk: ``@cached_njit(**BARE)``.
 
-    A cache of another version of frogkick may name types by modules that no longer exist. numba fails on such
-    a cache; this decorator compiles again.
+    It compiles again if a number, a text or a tuple has changed that the function knows by a global name. A
+    cache of another version of frogkick may name types by modules that no longer exist. numba fails on such a
+    cache; this decorator compiles again.
     """
 
     def keep(function: Callable[..., Any]) -> Any:
@@ -37,6 +43,9 @@ def cached_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         dispatcher = njit(cache=True, **options)(function)
         file = getattr(dispatcher._cache, "_cache_file", None)
         if file is not None:  # with NUMBA_DISABLE_JIT there is none
+            known = {name: function.__globals__.get(name) for name in function.__code__.co_names}
+            constants = {name: value for name, value in known.items() if isinstance(value, _CONSTANTS)}
+            file._source_stamp = (file._source_stamp, repr(constants))
             load = file._load_index
 
             def load_index() -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
+from frogkick.front.identifying import require_held_out
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.filter import Filter, Noise, Series, deviances, maximum_likelihood_noise
 from frogkick.identification.fit import Model, fit_many, rollouts_of
@@ -289,6 +291,22 @@ def test_another_robots_run_is_refused() -> None:
     run = replace(make_run([], 6, 3), robot_id="other")
     with pytest.raises(InputError, match="'other'"):
         segments_of(run, "x.h5", robot())
+
+
+def test_a_run_is_given_once_also_if_it_was_written_anew() -> None:
+    run, other = (segments_of(make_run([], seed, 4), f"{seed}.h5") for seed in (1, 2))
+    rounded = replace(run, pose=np.add(run.pose.round(5), (0.0, 0.0, math.tau)))
+    later = replace(run, time_s=run.time_s + 3.0)
+    cut = run.with_fixes(run.time_s < np.median(run.time_s))
+    for again in (run, rounded, later, cut):
+        with pytest.raises(InputError, match=r"test run '1.h5' is training run '1.h5' once more"):
+            require_held_out([other, run], [again])
+        with pytest.raises(InputError, match=r"run '1.h5' is run '1.h5' once more: it would count twice"):
+            require_held_out([run, again], [other])
+    require_held_out([run], [other])
+    require_held_out(
+        [run, replace(run, problem="its clock jumps")], [other, replace(other, pose=run.pose[:0])]
+    )
 
 
 def test_several_runs_follow_one_option() -> None:

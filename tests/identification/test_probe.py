@@ -12,10 +12,10 @@ from frogkick.core.errors import InputError
 from frogkick.effects import Effect, changed_robot
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, difference_steps, residuals_of, rollouts_of
-from frogkick.identification.screening import LinearSpan, changes, probes_of, sensitivities
+from frogkick.identification.screening import Column, LinearSpan, changes, probes_of, sensitivities
 from frogkick.identification.segments import Data
 from frogkick.identification.steps import linearised_optimum
-from frogkick.identification.terms import catalogue
+from frogkick.identification.terms import catalogue, unfittable
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
@@ -102,10 +102,39 @@ def test_options_that_are_no_table_are_named(tmp_path: Path) -> None:
         catalogue(robot(), tmp_path / "bad.py")
 
 
-def sensitivity_of_own(file: Path) -> None:
+@pytest.mark.parametrize(
+    "acts", ["stroke.time_s > 25.0", "stroke.body is not None and stroke.body.pose_world[0] > -9.0"]
+)
+def test_a_users_effect_is_tried_where_no_probe_sees_it(tmp_path: Path, acts: str) -> None:
+    """The probes are early in a run, and do not know the state of the body when a limb fires."""
+    (tmp_path / "late.py").write_text(
+        "from frogkick.effects import Effect, parameter\n\n\nclass Late(Effect):\n"
+        "    asks_body = True\n    loss = parameter('1', 0.0, 0.9, 0.0)\n\n"
+        f"    def stroke(self, stroke, history, rng):\n        if {acts}:\n"
+        "            stroke.gain *= 1.0 - self.loss\n"
+    )
+    (column,) = sensitivity_of_own(tmp_path / "late.py", 18)
+    assert column.jacobian[-1].any()
+
+
+def test_a_users_effect_without_parameters_is_told(tmp_path: Path) -> None:
+    (tmp_path / "bare.py").write_text(
+        "from frogkick.effects import Effect, parameter\n\n\nclass Bare(Effect):\n"
+        "    def wrench(self, time_s, body):\n        return 0.0, self.push, 0.0\n\n\n"
+        "class Push(Bare):\n    push = parameter('N', -0.1, 0.1, 0.0)\n"
+    )
+    assert [term.name for term in catalogue(robot(), tmp_path / "bare.py")][-1:] == ["Push"]
+    assert "Bare" not in [term.name for term in catalogue(robot(), tmp_path / "bare.py")]
+    (sentence,) = unfittable(tmp_path / "bare.py")
+    assert sentence.startswith("effect 'Bare' has no parameters and is not tried: declare one")
+    assert unfittable(None) == ()
+
+
+def sensitivity_of_own(file: Path, periods: int = 6) -> list[Column]:
     """Derivatives by the effect in a user's file."""
-    data, model = Data([make_swim([], 9, 6)], np.ones(6, dtype=bool)), Model(robot(), (), NOISE)
-    sensitivities(model, catalogue(robot(), file)[-1:], data, lambda _done, _whole: None)
+    data = Data([make_swim([], 9, periods)], np.ones(periods, dtype=bool))
+    model = Model(robot(), (), NOISE)
+    return sensitivities(model, catalogue(robot(), file)[-1:], data, lambda _done, _whole: None)
 
 
 def test_a_method_of_a_users_effect_that_gives_nonsense_is_named() -> None:

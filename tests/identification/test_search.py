@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from frogkick.identification.fit import (
     rollouts_of,
 )
 from frogkick.identification.refine import noise_reestimated, refined, with_fewer_free
-from frogkick.identification.screening import held_out_gain
+from frogkick.identification.screening import Column, held_out_gain
 from frogkick.identification.search import (
     Found,
     _ForwardSelection,
@@ -212,6 +213,36 @@ def test_a_calibrated_start_that_does_not_explain_all_is_held_against_a_search(
     monkeypatch.setattr(choice, "_scored", lambda _found: Scored(off, near, near))
     given: Any = choice.found_in([], robot(), [], lambda *_args: None)
     assert given == taken
+
+
+@pytest.mark.parametrize("limbs_misfire", [True, False])
+def test_the_candidates_given_are_searched_also_beside_misfires_and_laws(
+    monkeypatch: pytest.MonkeyPatch, limbs_misfire: bool
+) -> None:
+    """A user's effects are among them, and in no catalogue that is made again."""
+    given, tried = [term("drag_scale")], list[list[str]]()
+    fitted: Any = SimpleNamespace(model=SimpleNamespace(terms=()))
+    begun = Found(Data((), np.ones(0, dtype=bool)), fitted, fitted)
+
+    def searched(_data: Data, _nominal: Fitted, candidates: Any, *_args: Any, **_more: Any) -> Found:
+        tried.append([each.title for each in candidates])
+        return begun
+
+    def derived(_model: Model, candidates: Any, *_args: Any) -> list[Column]:
+        tried.append([each.title for each in candidates])
+        return [Column(each, np.zeros((0, 9, 1))) for each in candidates]
+
+    misfires = SimpleNamespace(patterned=lambda _fired: not limbs_misfire, deviance=-1.0)
+    for name, stub in (
+        ("search", searched), ("sensitivities", derived), ("Laws", lambda *_args: None),
+        ("misfires_of", lambda *_args: misfires), ("without_failed", lambda *_args: ()),
+        ("nominal_fit", lambda *_args: (begun.data, fitted)), ("derivatives", lambda *_args: [fitted]),
+        ("responses_of", lambda *_args: SimpleNamespace(idle=None, fired=None)),
+        ("_verdict", lambda _found: PARTLY), ("_penalised", lambda _found: 0.0),
+    ):  # fmt: skip
+        monkeypatch.setattr(choice, name, stub)
+    choice.discovered(begun, given, robot(), lambda *_args: None)
+    assert tried == [["drag_scale"]] * (3 if limbs_misfire else 2)
 
 
 @from_ci

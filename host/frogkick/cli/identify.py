@@ -63,7 +63,7 @@ def _identified(outcome: Outcome) -> str:
 
 
 def _further_lines(outcome: Outcome) -> list[str]:
-    """Return the lines about log score, repeatability, drift and dropped effects."""
+    """Return the lines about log score, repeatability, drift, and effects not tried or dropped."""
     tested, lines = outcome.tested, []
     if tested.gain is not None:
         gain = tested.gain
@@ -79,6 +79,7 @@ def _further_lines(outcome: Outcome) -> list[str]:
             f"the search ended by its bound, after {outcome.evaluations} simulations of the training runs: "
             "effects may be missing"
         )
+    lines += outcome.untried
     if outcome.dropped:
         lines.append(
             f"dropped, because the test runs are no more likely with them: {', '.join(outcome.dropped)}"

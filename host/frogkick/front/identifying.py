@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,6 +131,9 @@ class Identification:
 Given = Run | Path | str
 """A run in memory, or the file of one."""
 
+SAME_M = 3e-5
+"""Two fixes are one, rounded, if they differ by less than this, in m and rad."""
+
 LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
 """Called before the work with the runs that are not used: rows with ``run`` and ``reason``."""
 
@@ -193,21 +197,37 @@ def identify(
 
 
 def require_held_out(train: Sequence[Segments], test: Sequence[Segments]) -> None:
-    """Refuse test runs whose fixes are those of a training run, whatever their files are called.
+    """Refuse runs whose fixes are those of another run, in whole or in part, whatever their files are called.
 
     Raises:
-        InputError: there is one.
+        InputError: a test run is a training run, or a run is given twice.
     """
     for one, other in product(test, train):
-        if len(one.time_s) and not (one.problem or other.problem) and _same_fixes(one, other):
+        if _same_fixes(one, other):
             raise InputError(
                 f"test run {one.name!r} is training run {other.name!r} once more: its test would show how "
                 "well it was fitted, not how well it is predicted; give each run once"
             )
+    for one, other in (*combinations(train, 2), *combinations(test, 2)):
+        if _same_fixes(one, other):
+            raise InputError(
+                f"run {other.name!r} is run {one.name!r} once more: it would count twice; give each run once"
+            )
 
 
 def _same_fixes(one: Segments, other: Segments) -> bool:
-    return np.array_equal(one.time_s, other.time_s) and np.array_equal(one.pose, other.pose)
+    """Whether most fixes of the shorter run are in the longer one, rounded or at other times.
+
+    The noise of fixes keeps those of two runs apart.
+    """
+    from scipy.spatial import cKDTree
+
+    if one.problem or other.problem or not (len(one.pose) and len(other.pose)):
+        return False
+    poses = [np.column_stack([each.pose[:, :2], each.pose[:, 2] % math.tau]) for each in (one, other)]
+    shorter, longer = sorted((np.unique(each, axis=0) for each in poses), key=len)
+    apart, _nearest = cKDTree(longer).query(shorter, distance_upper_bound=SAME_M)
+    return bool(np.isfinite(apart).mean() > 0.5)
 
 
 def log_of(given: Given) -> tuple[Run, str]:

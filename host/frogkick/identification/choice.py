@@ -19,7 +19,7 @@ from frogkick.identification.responses import Responses, responses_of
 from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Found, nominal_fit, search
 from frogkick.identification.segments import Data, Segments, part_of
-from frogkick.identification.terms import Term, catalogue
+from frogkick.identification.terms import Term
 from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, Scored, intervals, scored, verdict_of
 from frogkick.robot import Robot
 
@@ -80,7 +80,7 @@ def found_in(
     return calibrated if end_deviance(calibrated.fitted.rollouts, train) + dear < searched else found
 
 
-def discovered(found: Found, robot: Robot, progress: TellStage) -> Found:
+def discovered(found: Found, candidates: Sequence[Term], robot: Robot, progress: TellStage) -> Found:
     """Search for limbs that misfire and for laws, if the catalogue leaves more than noise.
 
     The search is also made if the catalogue explains everything with a parameter at a bound, because a bound
@@ -101,15 +101,15 @@ def discovered(found: Found, robot: Robot, progress: TellStage) -> Found:
         fired, baseline = nominal_fit(without_failed(data.swims, misfires), robot)
         if _verdict(Found(fired, baseline, baseline)) == NOTHING:
             return Found(data, nominal, nominal, misfires=misfires, responses=responses)
-        beside = search(fired, baseline, catalogue(robot), progress)
+        beside = search(fired, baseline, candidates, progress)
         if _verdict(beside) not in (FOUND, NOTHING):
             own = responses_of(beside.nominal, beside.data)
-            beside = min(beside, _with_laws(beside, own, robot, progress), key=_penalised)
+            beside = min(beside, _with_laws(beside, own, candidates, robot, progress), key=_penalised)
         (fitted,) = derivatives([beside.fitted.model], data)
         misfires = misfires_of(fitted, data)
         results.append(replace(beside, data=data, nominal=nominal, fitted=fitted, misfires=misfires))
     else:
-        results.append(_with_laws(found, responses, robot, progress))
+        results.append(_with_laws(found, responses, candidates, robot, progress))
         best = min(results, key=_penalised)
         if best.fitted.model.terms and _verdict(best) not in (FOUND, FOUND_LAW):
             beside_best = misfires_of(best.fitted, data)
@@ -190,14 +190,16 @@ def _with_chances(
     )
 
 
-def _with_laws(found: Found, responses: Responses, robot: Robot, progress: TellStage) -> Found:
+def _with_laws(
+    found: Found, responses: Responses, candidates: Sequence[Term], robot: Robot, progress: TellStage
+) -> Found:
     """The result of a search in the catalogue and the grammar of laws."""
     data, nominal, known = found.data, found.nominal, found.sensitivities
     laws = Laws(responses, data.swims, robot, progress)
     if not known:
-        known = sensitivities(nominal.model, catalogue(robot), data, lambda _done, _whole: None)
-    candidates = [column.term for column in known]
-    return search(data, nominal, candidates, progress, columns=known, laws=laws)
+        known = sensitivities(nominal.model, candidates, data, lambda _done, _whole: None)
+    started = [column.term for column in known]
+    return search(data, nominal, started, progress, columns=known, laws=laws)
 
 
 def _penalised(found: Found) -> float:

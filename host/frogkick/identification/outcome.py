@@ -44,7 +44,7 @@ from frogkick.identification.laws import MOMENT, moment_intervals
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable, too_little
-from frogkick.identification.terms import FoundEffect, Interval, Term, catalogue
+from frogkick.identification.terms import FoundEffect, Interval, Term, catalogue, unfittable
 from frogkick.identification.verdict import (
     FEW_PERIODS,
     FOUND,
@@ -104,6 +104,7 @@ class Outcome:
         left_out: runs whose stroke times are unreliable: ``run`` and ``reason`` of each.
         evaluations: how often all training runs were simulated.
         ended_early: the search ended by its bound of evaluations, and effects may be missing.
+        untried: a sentence for each effect of the user's file that was not searched for.
     """
 
     verdict: str
@@ -124,6 +125,7 @@ class Outcome:
     dropped: tuple[str, ...] = ()
     evaluations: int = 0
     ended_early: bool = False
+    untried: tuple[str, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -226,6 +228,7 @@ class Outcome:
             ],
             "left_out": list(self.left_out),
             "search": {"evaluations": self.evaluations, "ended_early": self.ended_early},
+            "untried": list(self.untried),
             **({"reason": self.reason} if self.reason else {}),
         }
 
@@ -250,8 +253,8 @@ def identify(
     periods = max(sum(len(swim.start_s) for swim in train if not swim.problem), 1)
     with limited(EVALUATIONS_MOST * periods) as budget:
         outcome = _identified(train, test, robot, own, progress, measured, laws, budget)
-    evaluations = budget.spent // periods
-    return replace(outcome, evaluations=evaluations, ended_early=budget.ended_search)
+    spent, ended_early = budget.spent // periods, budget.ended_search
+    return replace(outcome, evaluations=spent, ended_early=ended_early, untried=unfittable(own))
 
 
 def _identified(
@@ -285,7 +288,7 @@ def _identified(
     found = found_in(train, robot, candidates, progress, measured)
     if laws:
         budget.most *= EVALUATIONS_MOST_LAWS / EVALUATIONS_MOST
-        found = discovered(found, robot, progress)
+        found = discovered(found, candidates, robot, progress)
     if jumps and (plain := in_all_fixes(found, raw[0], robot)) is not None:
         found, (train, test), jumps = plain, raw, []
     found = with_misfires(pruned(found, progress))

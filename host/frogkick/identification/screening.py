@@ -76,6 +76,9 @@ def sensitivities(
         responses = _changes(probes, bare, term)
         insensitive = np.array([change is not None and not change.any() for change in responses])
         if insensitive.all():
+            if term.own:  # it may act where no probe is: late in a run, far off, or by the state of the body
+                wanted += [(None, (len(starts), k)) for k in range(len(term.parameters))]
+                starts.append(term)
             continue
         for start in _starts(term, insensitive, swims) if insensitive.any() else [term]:
             for k, change in enumerate(responses if start is term else _changes(probes, bare, start)):

@@ -227,7 +227,8 @@ class _ForwardSelection:
                 break
             if all(candidate.column.term.title != other.column.term.title for other in picked):
                 picked.append(candidate)
-        tell(f"trying {', '.join(each.column.term.title for each in picked) or 'none'}")
+        named = ", ".join(each.column.term.title for each in picked)
+        tell(f"trying {named}" if named else "no further effect gains enough to be tried")
         count = len(current.model.values)
         starts = []
         for candidate in picked:

@@ -69,6 +69,11 @@ class Term:
         return str(keys.get("name") or keys.get("class"))
 
     @property
+    def own(self) -> bool:
+        """Whether it is an effect of a user's file."""
+        return "file" in dict(self.table)
+
+    @property
     def options(self) -> dict[str, Any]:
         """What it acts on, as ``{"limb": "rear_left"}``; of a law its formulas as well, under ``law``."""
         if self.name != "law":
@@ -130,7 +135,8 @@ class FoundEffect:
 def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
     """The built-in effects that are searched for one by one, with each of their options, and a user's own.
 
-    Effects that are fitted jointly only (``Effect.joint_only``) are not among them.
+    Effects that are fitted jointly only (``Effect.joint_only``) are not among them, nor are those of
+    ``unfittable``.
 
     Raises:
         InputError: the user's file has no effect, or one that cannot be made from its parameters.
@@ -146,7 +152,8 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
         if not kinds:
             raise InputError(f"effect file {str(own)!r} defines no effect: derive a class from Effect")
         for kind in kinds:
-            for options in _options(kind, robot):
+            choices = _options(kind, robot)
+            for options in choices if _declared(kind) else []:
                 table = {"file": own.name, "class": kind.__name__, **options}
                 term = _term(table, own.resolve().parent, kind)
                 call_hook(term.effect(), "check", robot)
@@ -154,11 +161,23 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
     return terms
 
 
-def _term(table: Mapping[str, Any], folder: Path, kind: type) -> Term:
+def unfittable(own: Path | None) -> tuple[str, ...]:
+    """A sentence for each effect of a user's file that is not searched for, as it has no parameters."""
+    names = [kind.__name__ for kind in effect_classes(own) if not _declared(kind)] if own else []
+    why = "has no parameters and is not tried: declare one, with a nominal value at which the effect vanishes"
+    return tuple(f"effect {name!r} {why}" for name in names)
+
+
+def _declared(kind: type) -> tuple[Parameter, ...]:
     given = getattr(kind, "parameters", ())
     if not isinstance(given, tuple | list) or not all(isinstance(each, Parameter) for each in given):
         raise InputError(f"effect {kind.__name__!r}: parameters are {given!r}: give a tuple of Parameter")
-    return Term(tuple(table.items()), folder, tuple(given), tuple(p.nominal for p in given))
+    return tuple(given)
+
+
+def _term(table: Mapping[str, Any], folder: Path, kind: type) -> Term:
+    given = _declared(kind)
+    return Term(tuple(table.items()), folder, given, tuple(p.nominal for p in given))
 
 
 def law_term(

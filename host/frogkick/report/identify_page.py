@@ -124,6 +124,7 @@ def _errors(outcome: Outcome) -> Section:
             f"The search ended by its bound, after {outcome.evaluations} simulations of the training runs. "
             "Effects may be missing."
         )
+    text += [f"{each[0].upper()}{each[1:]}." for each in outcome.untried]
     if outcome.dropped:
         text.append(
             f"{', '.join(outcome.dropped)} explained the training runs better, but not the test runs. So it "

@@ -18,7 +18,7 @@ from tests.library.synthetic import Known
 from tests.runs import rig
 
 import frogkick as fk
-from frogkick.cli.common import show
+from frogkick.cli.common import Result, show
 from frogkick.core.files import cache_folder
 from frogkick.front import building
 from frogkick.library import fitting, write_library
@@ -440,7 +440,7 @@ def test_results_are_read_by_people_too(here: Path, capsys: Capture) -> None:
         "decisions": 12345, "plan": {"ms": {"p99": 1.23456}, "none": {}},
         "rows": [{"name": "a", "at_m": (0.1, 2.0)}], "names": ["b", "c"],
     }  # fmt: skip
-    show(values, as_json=False)
+    show(Result(values), False, sys.stdout)
     assert capsys.readouterr().out.splitlines() == [
         "speed_mps: 0.3", "completed: no", "ended: -", "left: -", "decisions: 12345", "plan:", "  ms:",
         "    p99: 1.235", "  none: -", "rows:", "  name a, at_m 0.1, 2", "names: b, c",

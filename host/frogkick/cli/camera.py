@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from frogkick.cli import options as opt
-from frogkick.cli.common import json_text, say, show
+from frogkick.cli.common import Result, json_text, text_lines
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 
@@ -85,8 +84,7 @@ def calibrate(
     tag_at_mm: Annotated[
         str, "Position of the tag's centre on the robot: forward, left.", opt.With(metavar="X,Y")
     ] = "0,0",
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Calibrate the camera from the pool's four corners, or from a board that lies on the water's plane.
 
     With --board and --pictures the lens is calibrated as well.
@@ -115,7 +113,7 @@ def calibrate(
         board_at_m=(0.0, 0.0) if plane_picture is None else _signed_pair(board_at, "--board-at", 1.0),
     )
     made.save(out)
-    show({**made.as_json(), "out": str(out)}, json)
+    return Result({**made.as_json(), "out": str(out)})
 
 
 def _signed_pair(text: str, option: str, unit: float) -> tuple[float, float]:
@@ -145,8 +143,7 @@ def check(
     limit_deg: Annotated[float, "Largest heading error allowed.", opt.With(0.0)] = 0.5,
     out: Annotated[Path | None, "Folder for error_map.json and error_map.png."] = None,
     seed: opt.Seed = 0,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Map the position errors over the pool, in mm.
 
     Without --points and --places the pictures are rendered, with the calibration taken as true. They show
@@ -165,17 +162,13 @@ def check(
     if out is not None:
         checked.draw(out / "error_map.png")
         write_text(out / "error_map.json", json_text(values) + "\n")
-    show(values if json else facts, json)
-    if not facts["within"]:
-        print(
-            f"frogkick: camera check: {facts['found']} of {facts['places']} tags found, largest error "
-            f"{facts['max_mm']:.3f} mm (limit {limit_mm:g}), {facts['heading_max_deg']:.3f} degrees "
-            f"(limit {limit_deg:g})",
-            file=sys.stderr,
-        )
-        for remark in checked.remarks:
-            say(remark)
-        raise typer.Exit(1)
+    failed = (
+        f"camera check: {facts['found']} of {facts['places']} tags found, largest error "
+        f"{facts['max_mm']:.3f} mm (limit {limit_mm:g}), {facts['heading_max_deg']:.3f} degrees "
+        f"(limit {limit_deg:g})"
+    )
+    remarks = [] if facts["within"] else [failed, *checked.remarks]
+    return Result(values, text_lines(facts), facts["within"], remarks)
 
 
 def track(
@@ -185,8 +178,8 @@ def track(
         float | None, "Time to track; default: to the end of the source, or until Ctrl-C."
     ] = None,
     view: Annotated[bool, "Draw the pictures, the tag and the fixes in the browser."] = False,
-    json: opt.Json = False,
-) -> None:
+    json: bool = False,
+) -> Result:
     """Print the tag's pose in each picture. No robot is needed.
 
     Each line is x_m y_m heading_rad age_s: the pose in the pool's frame and the age of its picture. The
@@ -200,23 +193,16 @@ def track(
 
     each = (lambda _fix: None) if json else print_fix
     found = track_camera(calibration, source, seconds=seconds, view=view, each=each)
-    if json:
-        show(found, json)
     without = {reason: count for reason, count in found["reasons"].items() if reason != "found"}
     why = ", ".join(f"{count} x {reason}" for reason, count in without.items())
-    say(
+    remark = (
         f"{found['fixes']} fixes from {found['pictures']} pictures, {found['rate_hz']:.1f} a second"
         f"{f'; pictures without a fix: {why}' if why else ''}"
     )
-    if not found["fixes"]:
-        raise typer.Exit(1)
+    return Result(found, [], bool(found["fixes"]), [remark])
 
 
-def picture(
-    out: Annotated[Path, "Picture to write (.png or .jpg)."],
-    source: SourceOption = "0",
-    json: opt.Json = False,
-) -> None:
+def picture(out: Annotated[Path, "Picture to write (.png or .jpg)."], source: SourceOption = "0") -> Result:
     """Take a picture, in which the pool's corners can be found.
 
     A camera has a second to find its exposure.
@@ -225,7 +211,7 @@ def picture(
 
     require_writable(out)
     width_px, height_px = take_picture(out, source)
-    show({"out": str(out), "image_px": [width_px, height_px]}, json)
+    return Result({"out": str(out), "image_px": [width_px, height_px]})
 
 
 def tag_page(
@@ -233,11 +219,11 @@ def tag_page(
     tag_family: FamilyOption = "tag36h11",
     tag_id: TagIdOption = 0,
     tag_size_mm: TagSizeOption = 47.0,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Write a page with the tag at true scale, an arrow that points forward, and a ruler."""
     from frogkick.front.cameras import write_tag
 
     require_writable(out)
     width_m, height_m = write_tag(out, family=tag_family, tag_id=tag_id, size_m=tag_size_mm / 1e3)
-    show({"out": str(out), "page_mm": [1e3 * width_m, 1e3 * height_m], "tag_size_mm": tag_size_mm}, json)
+    page_mm = [1e3 * width_m, 1e3 * height_m]
+    return Result({"out": str(out), "page_mm": page_mm, "tag_size_mm": tag_size_mm})

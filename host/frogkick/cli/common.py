@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -79,22 +79,8 @@ def say_left_out(rows: Sequence[Mapping[str, str]]) -> None:
         say(f"run {row['run']!r} is LEFT OUT: {row['reason']}")
 
 
-_results: list[TextIO] = []
-"""The last is where results are printed; without one it is stdout."""
-
-
-@contextmanager
-def results_alone() -> Iterator[None]:
-    """Print only results to stdout; what a user's own file prints, such as an effect, goes to stderr."""
-    _results.append(sys.stdout)
-    try:
-        with redirect_stdout(sys.stderr):
-            yield
-    finally:
-        _results.pop()
-
-
-_unsaved: list[str] = []
+undone: list[str] = []
+"""Errors that come after the output: results that could not be saved or sent."""
 
 
 def save(write: Callable[[Path], object], target: Path) -> None:
@@ -102,30 +88,40 @@ def save(write: Callable[[Path], object], target: Path) -> None:
     try:
         save_result(write, target)
     except UnwritableError as error:
-        _unsaved.append(str(error))
+        undone.append(str(error))
 
 
 @contextmanager
-def tells_unsaved() -> Iterator[None]:
-    """Raise InputError at the end, also after a check that failed, if ``save`` could not write a result."""
-    _unsaved.clear()
+def tells_undone() -> Iterator[None]:
+    """Raise InputError at the end, also after a check that failed, if a result could not be saved or sent."""
+    undone.clear()
     try:
         yield
     except typer.Exit:
-        if not _unsaved:
+        if not undone:
             raise
-    if _unsaved:
-        raise InputError("; ".join(_unsaved))
+    if undone:
+        raise InputError("; ".join(undone))
 
 
-def show(values: Mapping[str, Any], as_json: bool, text: str = "", passed: bool = True) -> None:
-    """Print a result: as one JSON object, or as text (by default the values, one a line).
+@dataclass(frozen=True)
+class Result:
+    """What a command has to print, and whether a check has passed; if not, its exit code is 1."""
 
-    If it has not ``passed``, the command ends with exit code 1.
-    """
-    written = json_text(values) if as_json else text or "\n".join(text_lines(values))
-    print(written, file=_results[-1] if _results else sys.stdout)
-    if not passed:
+    values: Mapping[str, Any]  # printed as one JSON object, or as text
+    lines: Sequence[str] | None = None  # the text; None: the values, one a line
+    passed: bool = True
+    remarks: Sequence[str] = ()  # said after it, see ``say``
+
+
+def show(result: Result, as_json: bool, file: TextIO) -> None:
+    """Print a result to a file, as one JSON object or as text."""
+    lines = text_lines(result.values) if result.lines is None else result.lines
+    for line in [json_text(result.values)] if as_json else lines:
+        print(line, file=file, flush=True)
+    for remark in result.remarks:
+        say(remark)
+    if not result.passed:
         raise typer.Exit(1)
 
 

@@ -10,9 +10,8 @@ from typer.core import TyperCommand
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import save, say, say_left_out, show
+from frogkick.cli.common import Result, save, say_left_out, undone
 from frogkick.cli.robots import text_of
-from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
@@ -104,8 +103,7 @@ def identify(
         "the fits start from the same effects at nominal values.",
     ] = True,
     laws: opt.Laws = True,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Identify the physical effects that a robot's model lacks. The exit code is 0 for any verdict."""
     for target in (out, predictions, report):
         require_writable(target)
@@ -116,7 +114,7 @@ def identify(
         save(found.predictions, predictions)
     if report is not None:
         save(found.report, report)
-    show(found.as_json(), json, _identified(found.outcome))
+    return Result(found.as_json(), [_identified(found.outcome)])
 
 
 class Command(TyperCommand):
@@ -169,8 +167,7 @@ def retune(
     key: opt.Key = None,
     laws: opt.Laws = True,
     seed: opt.Seed = 0,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Make a new table for a worn robot.
 
     The exit code is 1 if the new table is no better on held-out periods, or if the runs are too short.
@@ -178,16 +175,13 @@ def retune(
     from frogkick.front.retuning import TABLES, retune
 
     made = opt.call(retune, locals(), table=tables, left_out=say_left_out, progress=True)
-    show(made.as_json(), json, printed(made, push))
     if made.not_pushed is not None:
-        raise InputError(
+        undone.append(
             f"the new table was made but not sent: {made.not_pushed}; then send it with 'frogkick push "
             f"{out / TABLES} --robot {push}'"
-        ) from made.not_pushed
-    if made.reason and not made.done:
-        say(made.reason)
-    if not made.done:
-        raise typer.Exit(1)
+        )
+    remarks = [] if made.done else [made.reason]
+    return Result(made.as_json(), [printed(made, push)], made.done, remarks)
 
 
 def printed(made: Retuning, push: str | None = None) -> str:

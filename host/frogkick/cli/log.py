@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +10,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import say, short, show, text_lines
+from frogkick.cli.common import Result, say, short, text_lines
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar
@@ -27,8 +26,7 @@ def show_run(
     out: Annotated[Path | None, "Picture (.png) or animation (.gif, .mp4) to write."] = None,
     view: Annotated[bool, "Play the run in the browser."] = False,
     speed: Annotated[float, "Speed of --view; 2 is twice real time."] = 1.0,
-    json: opt.Json = False,
-) -> None:
+) -> Iterator[Result]:
     """Show a run in numbers and in one picture: track, distance, actions and prediction errors."""
     moving = out is not None and out.suffix.lower() in (".gif", ".mp4")
     if moving:
@@ -46,9 +44,8 @@ def show_run(
         from frogkick.report.run_figure import run_figure
 
         write_picture(run_figure(log, f"{run.name}: {found.decisions} decisions"), out, ".png")
-    show({**found.as_json(), "picture": out and str(out)}, json, _lines(found.as_json()))
+    yield Result({**found.as_json(), "picture": out and str(out)}, _lines(found.as_json()))
     if view:
-        sys.stdout.flush()
         log.play(speed)
 
 
@@ -56,8 +53,7 @@ def compare(
     a: RunArgument,
     b: RunArgument,
     out: Annotated[Path | None, "Picture (.png) to write."] = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Compare two runs: their distances to the path, their first different decision, and their separation."""
     _require_picture(out)
     one, two = fk.load_run(a), fk.load_run(b)
@@ -76,7 +72,7 @@ def compare(
     more = {
         key: values[key] for key in ("same_robot", "same_table", "same_path", "same_decisions", "apart_m")
     }
-    show({**values, "picture": out and str(out)}, json, "\n".join([*rows, _lines(more)]))
+    return Result({**values, "picture": out and str(out)}, [*rows, *_lines(more)])
 
 
 def export(
@@ -84,8 +80,7 @@ def export(
     out: Annotated[Path, "File to write (.mcap), or folder for CSV."],
     csv: Annotated[bool, "Write one CSV file for each group of columns."] = False,
     mcap: Annotated[bool, "Write one MCAP file for Foxglove, and a layout."] = False,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Export a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
     if csv == mcap:
         raise InputError(
@@ -95,15 +90,11 @@ def export(
     log = fk.load_run(run)
     if csv:
         files = [str(file) for file in log.export_csv(out)]
-        show({"files": files}, json, "\n".join(files))
-        return
+        return Result({"files": files}, files)
     counts = log.export_mcap(out)
     files = [str(out), str(out.with_suffix(".layout.json"))]
-    show(
-        {"files": files, "messages": counts},
-        json,
-        "\n".join([*files, *(f"  {topic:12s} {count}" for topic, count in counts.items())]),
-    )
+    lines = [*files, *(f"  {topic:12s} {count}" for topic, count in counts.items())]
+    return Result({"files": files, "messages": counts}, lines)
 
 
 def _require_picture(out: Path | None, moving: str = "") -> None:
@@ -113,12 +104,12 @@ def _require_picture(out: Path | None, moving: str = "") -> None:
         raise InputError(f"--out {str(out)!r} does not end in .png{moving}: name the picture so")
 
 
-def _lines(values: Mapping[str, Any]) -> str:
+def _lines(values: Mapping[str, Any]) -> list[str]:
     facts = {key: value for key, value in values.items() if key not in ("actions", "clock", "made")}
     facts |= values.get("clock", {}) | values.get("made", {})
     if "actions" in values:
         facts["actions"] = ", ".join(f"{name} {count}" for name, count in values["actions"].items())
-    return "\n".join(text_lines(facts))
+    return text_lines(facts)
 
 
 def import_(
@@ -127,8 +118,7 @@ def import_(
         typer.Argument(help="Folder of recorded runs and their paths, such as line1.csv and linep1.csv."),
     ],
     out: Annotated[Path, "Folder for the logs."],
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Read recorded runs, repair or mark their faults, and write logs. No data is invented."""
     from frogkick.front.logs import import_runs
 
@@ -139,7 +129,7 @@ def import_(
     for row in runs:
         for note in row.get("clock_notes", ()):
             say(f"{row['run']}: {note}")
-    show({"runs": runs, "out": str(out)}, json, "\n".join(lines))
+    return Result({"runs": runs, "out": str(out)}, lines)
 
 
 def replay(
@@ -155,8 +145,7 @@ def replay(
     depth: opt.Depth = None,
     robot: Annotated[str, "virtual: the chip; pool: the C core on this computer."] = "virtual",
     model: Annotated[str | None, "Robot TOML file or built-in name; default: the table's robot."] = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Give a run's fixes to the planner again and compare every decision.
 
     The exit code is 1 if a decision differs.
@@ -164,14 +153,10 @@ def replay(
     from frogkick.front.replaying import replay as replay_run
 
     replayed = opt.call(replay_run, locals(), table=tables, progress=True)
-    show(replayed.as_json(), json, passed=not replayed.mismatches)
+    return Result(replayed.as_json(), passed=not replayed.mismatches)
 
 
-def fetch(
-    robot: opt.Target,
-    out: Annotated[Path, "Log file to write (.h5)."],
-    json: opt.Json = False,
-) -> None:
+def fetch(robot: opt.Target, out: Annotated[Path, "Log file to write (.h5)."]) -> Result:
     """Fetch the log that a robot keeps in its RAM.
 
     It can be fetched during a run, after it, and after a reset of the robot. Fetching changes nothing on the
@@ -179,15 +164,14 @@ def fetch(
     """
     from frogkick.front.replaying import fetch_log
 
-    show({**fetch_log(robot, out, progress=True).summary(), "out": str(out)}, json)
+    return Result({**fetch_log(robot, out, progress=True).summary(), "out": str(out)})
 
 
 def replay_fetched(
     file: Annotated[Path, typer.Argument(help="Log file that 'log fetch' wrote.")],
     tables: opt.Tables = None,
     model: opt.Model = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Repeat the decisions of a robot's log by the C core and by the Python twin, bit by bit.
 
     The exit code is 1 if a decision differs.
@@ -195,4 +179,4 @@ def replay_fetched(
     from frogkick.front.replaying import replay_log
 
     found = replay_log(file, tables=tables, model=model, progress=True)
-    show(found.as_json(), json, passed=not found.mismatches)
+    return Result(found.as_json(), passed=not found.mismatches)

@@ -13,7 +13,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import require_one_place, save, say, show
+from frogkick.cli.common import Result, require_one_place, save, say
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import progress_bar
@@ -64,8 +64,7 @@ def simulate(
     initial_velocity: Annotated[str, "VX,VY,OMEGA: forward, left m/s, rad/s."] = "0,0,0",
     out: Annotated[Path | None, "CSV file to write, with time_s, x_m, y_m, heading_rad."] = None,
     animation: Annotated[Path | None, "Animation to write (.gif or .mp4)."] = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Simulate a gait or a sequence of actions of a robot."""
     described = fk.load_robot(robot)
     require_writable(out)
@@ -106,14 +105,13 @@ def simulate(
             swim = gait_swim(described, egain, frequency, phase, cycles)
         with progress_bar("animation") as progress:
             animated["animation"] = write_animation(swim, animation, progress)
-    show(
+    return Result(
         {
             "speed_mps": result.speed_mps,
             "distance_m": result.distance_m,
             "cost_of_transport": result.cost_of_transport,  # infinite without forward motion: shown as null
             **animated,
-        },
-        json,
+        }
     )
 
 
@@ -134,8 +132,7 @@ def build_library(
     ] = RECORD_S,
     cluster: opt.Cluster = None,
     seed: opt.Seed = 0,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Simulate every action from each of many initial velocities. An interrupted build can be resumed."""
     described = fk.load_robot(robot)
     require_writable(out)
@@ -146,27 +143,23 @@ def build_library(
         name = described.actions[failure.action].name
         say(f"state {failure.state}, action {name} is left out of the tables: {failure.reason}")
     transitions = states * len(described.actions)
-    show(
+    return Result(
         {
             "transitions": transitions,
             "failed": len(made.failed),
             "wall_s": round(time.perf_counter() - began, 3),
             "simulated_s": transitions * max(described.period_s, record_s),
             "out": str(out),
-        },
-        json,
+        }
     )
 
 
-def show_library(
-    library: LibraryArgument,
-    json: opt.Json = False,
-) -> None:
+def show_library(library: LibraryArgument) -> Result:
     """Show the contents of a library."""
     from frogkick.front.tables import library_info
 
     # How long it took is not in the file, whose bytes do not depend on the machine.
-    show({**library_info(library), "wall_s": None}, json)
+    return Result({**library_info(library), "wall_s": None})
 
 
 def build_table(
@@ -186,15 +179,14 @@ def build_table(
     out: Annotated[Path, "Table image to write (.fkt)."] = Path("tables.fkt"),
     test_states: Annotated[int, "Number of unseen states to measure the error on.", opt.With(4, 10000)] = 64,
     seed: opt.Seed = 1,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Make a table image, and measure its error on states that are not in it."""
     content = fk.load_library(library)
     require_writable(out)
     table = fk.fit_table(content, kind.value if kind else None, budget_kib, progress=True)
     error = table.error(test_states, seed, content.sampling, progress=True)
     save(table.save, out)
-    show({**table.facts(), "error": error, "sampling": content.sampling, "out": str(out)}, json)
+    return Result({**table.facts(), "error": error, "sampling": content.sampling, "out": str(out)})
 
 
 def show_table(
@@ -209,8 +201,7 @@ def show_table(
     ] = 64,
     sampling: opt.Unseen = opt.Sampling.box,
     seed: opt.Seed = 1,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Check a table image, show its contents, and measure its error on unseen states."""
     from frogkick.front.tables import read_facts
 
@@ -224,7 +215,7 @@ def show_table(
     else:
         if test_states:
             error = table.error(test_states, seed, sampling.value, progress=True)
-    show({**facts, "error": error, "sampling": sampling.value if error else None}, json)
+    return Result({**facts, "error": error, "sampling": sampling.value if error else None})
 
 
 def codegen(
@@ -236,17 +227,14 @@ def codegen(
         "Measure sizes and times on the virtual chip and write them into the README.",
         opt.With(names=("--measure/--no-measure",)),
     ] = True,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Generate C99 from a table and the planner, with a README of their sizes and times on the chip.
 
     The planner's weights and depth are those of the robot's file.
     """
     require_writable(out, folder=True)
     files = fk.emit_c(tables, out, robot=robot, measure=measured, progress=True)
-    show(
-        {"out": str(out), "files": files}, json, "\n".join(f"{files[name]}  {name}" for name in sorted(files))
-    )
+    return Result({"out": str(out), "files": files}, [f"{files[name]}  {name}" for name in sorted(files)])
 
 
 def build_firmware(
@@ -254,26 +242,21 @@ def build_firmware(
     target: Annotated[Target, "bench: nRF52832; native: this computer."] = Target.bench,
     robot: opt.Model = None,
     out: Annotated[Path, "Folder for the results."] = Path("firmware-build"),
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Build the firmware around a table image. The value stack_bytes is the stack that the image reserves."""
     require_writable(out, folder=True)
     built = fk.build_firmware(fk.load_table(tables, robot), target.value, out)
-    show(built.as_json(), json)
+    return Result(built.as_json())
 
 
-def measure_firmware(
-    tables: opt.Tables = None,
-    robot: opt.Model = None,
-    json: opt.Json = False,
-) -> None:
+def measure_firmware(tables: opt.Tables = None, robot: opt.Model = None) -> Result:
     """Measure flash, RAM and stack of the bench image.
 
     The stack is measured on the virtual chip, and an upper bound over all paths of the machine code is given.
     """
     from frogkick.front.building import sizes_of, try_firmware
 
-    show(sizes_of(*try_firmware(tables, robot)), json)
+    return Result(sizes_of(*try_firmware(tables, robot)))
 
 
 def flash_firmware(
@@ -283,21 +266,16 @@ def flash_firmware(
     tables: opt.Tables = None,
     robot: opt.Model = None,
     probe: Annotated[str | None, "Serial number of the debug probe, if several are plugged in."] = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Flash the bench image into a development kit through its debug probe."""
     from frogkick.front.building import flash_firmware as flash
 
-    show(flash(image, table=tables, robot=robot, probe=probe, progress=True), json)
+    return Result(flash(image, table=tables, robot=robot, probe=probe, progress=True))
 
 
-def check_firmware(
-    tables: opt.Tables = None,
-    robot: opt.Model = None,
-    json: opt.Json = False,
-) -> None:
+def check_firmware(tables: opt.Tables = None, robot: opt.Model = None) -> Result:
     """Boot the image on the virtual chip and test every command, stroke and limit."""
     from frogkick.front.building import checks_of, try_firmware
 
     checks = checks_of(*try_firmware(tables, robot, progress=True))
-    show(checks, json, passed=checks["passed"])
+    return Result(checks, passed=checks["passed"])

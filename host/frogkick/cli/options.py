@@ -6,15 +6,16 @@ import enum
 import functools
 import inspect
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext, redirect_stdout, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 import typer
 
-from frogkick.cli.common import results_alone, tells_unsaved
+from frogkick.cli.common import Result, show, tells_undone
 from frogkick.core.errors import InputError
 
 PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
@@ -37,7 +38,12 @@ FILE = ("--robot", "--model")
 """The names of an option whose value is a robot's file."""
 
 # A type, a text and perhaps a ``With`` are the option "--name" with that help, see ``with_options``.
-Json = Annotated[bool, "Print one JSON object and nothing else."]
+JSON = inspect.Parameter(
+    "json",
+    inspect.Parameter.KEYWORD_ONLY,
+    default=False,
+    annotation=Annotated[bool, "Print one JSON object and nothing else."],
+)
 Seed = Annotated[int, "Seed of all random numbers; the same seed gives the same result.", With(0)]
 Cluster = Annotated[
     str | None,
@@ -131,21 +137,27 @@ def _files(value: Any) -> Iterator[Path]:
                 yield Path(each)
 
 
-def with_options(command: Callable[..., None]) -> Callable[..., None]:
+def with_options(command: Callable[..., Result | Iterator[Result]]) -> Callable[..., None]:
     """Return a command whose arguments ``Annotated[type, "help", With(...)]`` are options with that help.
 
-    A switch that is off by default has no ``--no-name``. What is written must not be what is read.
+    A switch that is off by default has no ``--no-name``. What is written must not be what is read. Every
+    command has ``--json`` and prints its result, or the one that it yields before it goes on. With ``--json``
+    stdout gets nothing else: what a user's own file prints, such as an effect, goes to stderr.
     """
+    signature = inspect.signature(command, eval_str=True)
+    known = signature.parameters
 
     @functools.wraps(command)
-    def checked(**options: Any) -> None:
+    def checked(json: bool, **options: Any) -> None:
         require_apart(options)
-        with tells_unsaved(), results_alone() if options.get("json") else nullcontext():
-            command(**options)
+        stdout = sys.stdout
+        with tells_undone(), redirect_stdout(sys.stderr) if json else nullcontext():
+            given = command(**options, **({"json": json} if "json" in known else {}))
+            for result in [given] if isinstance(given, Result) else given:
+                show(result, json, stdout)
 
-    signature = inspect.signature(command, eval_str=True)
     parameters = []
-    for parameter in signature.parameters.values():
+    for parameter in (known | {"json": JSON}).values():
         annotation = parameter.annotation
         kind, *notes = get_args(annotation) or (annotation,)
         if notes and isinstance(notes[0], str):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
 import typer
 
 from frogkick.cli import options as opt
-from frogkick.cli.common import require_one_place, save, show
+from frogkick.cli.common import Result, require_one_place, save
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar, tell_line
@@ -45,8 +45,7 @@ def parity(
     planner: opt.Planner = opt.PlannerName.paper,
     depth: opt.Depth = None,
     seed: opt.Seed = 0,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Make the same decisions in Python, in native C and on the virtual chip, and count differing bits.
 
     Single decisions start from states of every kind, at depth 1 to 4. A closed-loop run follows at --depth.
@@ -56,10 +55,10 @@ def parity(
     from frogkick.front.parity import compare_places
 
     found = opt.call(compare_places, locals(), table=tables, robot=model, progress=True)
-    show(found.as_json(), json, passed=found.same)
+    return Result(found.as_json(), passed=found.same)
 
 
-def _compared(result: dict[str, Any]) -> str:
+def _compared(result: dict[str, Any]) -> list[str]:
     shape, authors, floor = (
         result[key] for key in ("within_cycle_rms_mm", "authors_rmse_mps", "noise_floor_mps")
     )
@@ -92,8 +91,7 @@ def _compared(result: dict[str, Any]) -> str:
         ]
     if any(group.startswith("experiments") for group in floor):
         lines.append(f"noise floor: {result['noise']['method']}")
-    lines += [f"skipped {skipped['case']}: {skipped['reason']}" for skipped in result["skipped"]]
-    return "\n".join(lines)
+    return lines + [f"skipped {skipped['case']}: {skipped['reason']}" for skipped in result["skipped"]]
 
 
 def validate(
@@ -105,8 +103,7 @@ def validate(
     ] = False,
     workers: opt.Workers = 0,
     check: Annotated[bool, typer.Option(help="Exit with code 1 if a limit is exceeded.")] = False,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Compare the model with every simulation and measured swim of a data folder.
 
     All are compared with one parameter set. Limb profiles come from the folder's own files if it has them.
@@ -123,7 +120,7 @@ def validate(
         save(found.report, report)
         result["report"] = str(report)
     result["wall_s"] = round(time.perf_counter() - began, 3)
-    show(result, json, _compared(result), passed=not check or found.held)
+    return Result(result, _compared(result), passed=not check or found.held)
 
 
 def _numbers(text: str | None, option: str) -> list[float] | None:
@@ -146,7 +143,7 @@ def _ranks(title: str, points: Sequence[Point]) -> list[str]:
     ]
 
 
-def _ranked(swept: Swept, out: Path) -> str:
+def _ranked(swept: Swept, out: Path) -> list[str]:
     lines = _ranks("fastest:", swept.fastest)
     lines += _ranks("most efficient:", swept.most_efficient)
     for verdict in swept.verdicts:
@@ -160,7 +157,7 @@ def _ranked(swept: Swept, out: Path) -> str:
     lines += [f"interpolated limb profile: {design.name}" for design in sorted(plan.interpolated)]
     lines += [f"skipped {skipped.case}: {skipped.reason}" for skipped in plan.skipped]
     lines += [f"failed {point.gait}: {point.failure}" for point in swept.points if point.failure]
-    return "\n".join([*lines, swept.energy_model, f"written to {out}"])
+    return [*lines, swept.energy_model, f"written to {out}"]
 
 
 def _with_rate(bar: Callable[[int, int], None]) -> Callable[[int, int], None]:
@@ -190,8 +187,7 @@ def sweep(
     egain: Annotated[str | None, "EGaIn fractions in %, such as 10,30; default: the measured ones."] = None,
     workers: opt.Workers = 0,
     cluster: opt.Cluster = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Simulate every EGaIn fraction, frequency and phase offset, and rank by speed and cost of transport.
 
     Limb profiles between the measured ones are interpolated. Designs outside their range are left out and
@@ -212,7 +208,7 @@ def sweep(
     result = swept.as_json()
     result["files"] = [str(file) for file in files]
     result["wall_s"] = round(time.perf_counter() - began, 3)
-    show(result, json, _ranked(swept, out), passed=not result["failures"])
+    return Result(result, _ranked(swept, out), passed=not result["failures"])
 
 
 SHARED: dict[tuple[str, str], Any] = {
@@ -229,7 +225,7 @@ SHARED: dict[tuple[str, str], Any] = {
 """The shared options, by the name and type of a configuration's field."""
 
 
-def command(name: str) -> Callable[..., None]:
+def command(name: str) -> Callable[..., Result]:
     """Return the command of a study; its options are the fields of the study's configuration.
 
     Raises:
@@ -249,26 +245,25 @@ def command(name: str) -> Callable[..., None]:
         if get_origin(hints[field.name]) is Annotated
         else SHARED[field.name, str(field.type)]
         for field in fields(config)
-    } | {"json": opt.Json}
+    }
     defaults = {
         field.name: Parameter.empty if field.default is MISSING else field.default for field in fields(config)
     }
 
-    def run(**given: Any) -> None:
-        as_json = given.pop("json")
-        _run(name, config(**given), as_json)
+    def run(**given: Any) -> Result:
+        return _run(name, config(**given))
 
     run.__doc__ = config.__doc__
     run.__signature__ = Signature(  # type: ignore[attr-defined]
         [
-            Parameter(each, Parameter.KEYWORD_ONLY, default=defaults.get(each, False), annotation=option)
+            Parameter(each, Parameter.KEYWORD_ONLY, default=defaults[each], annotation=option)
             for each, option in options.items()
         ]
     )
     return run
 
 
-def _run(name: str, config: Any, as_json: bool) -> None:
+def _run(name: str, config: Any) -> Result:
     out: Path | None = getattr(config, "out", None)
     require_writable(out, folder=config.folder)
     for field in fields(config):
@@ -284,4 +279,4 @@ def _run(name: str, config: Any, as_json: bool) -> None:
         figure = out / f"{name}.png" if config.folder else out
         save(lambda file: write_picture(found.plot(), file, ".png"), figure)
         values["figure"] = str(figure)
-    show(values, as_json, found.text(values), passed=found.passed)
+    return Result(values, found.text(values).splitlines() or None, passed=found.passed)

@@ -15,7 +15,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import say, show
+from frogkick.cli.common import Result, say
 from frogkick.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,8 +68,7 @@ def serve_pool(
     ] = None,
     port: Annotated[int, "TCP port of the camera's pictures; 0: a free one."] = 0,
     seed: opt.Seed = 0,
-    json: opt.Json = False,
-) -> None:
+) -> Iterator[Result]:
     """Serve a simulated robot in real time: a serial port for --robot, and a camera's pictures for --source.
 
     It stands in for a robot in water in all commands that talk with one, until Ctrl-C. The pictures show the
@@ -82,8 +81,7 @@ def serve_pool(
     began_s = time.monotonic()
     served = opt.call(served_pool, locals(), table=tables, robot="virtual" if virtual else "pool")
     with served as pool, suppress(KeyboardInterrupt):
-        show(pool.as_json(), json)
-        sys.stdout.flush()
+        yield Result(pool.as_json())
         _serve(pool)
     kept = "" if flash is None else f", and the robot's flash is in {flash}"
     say(f"the pool is closed after {time.monotonic() - began_s:.0f} s{kept}")
@@ -118,8 +116,7 @@ def push(
     tables: Annotated[Path | None, typer.Argument(help="Table image (.fkt).")] = None,
     rollback: Annotated[bool, "Return to the previous table instead."] = False,
     key: opt.Key = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Send a robot another table by Bluetooth or serial line. It is disarmed and keeps the previous table."""
     from frogkick.front.robots import connect, push_table, require_target
 
@@ -131,7 +128,7 @@ def push(
     else:
         with connect(robot, key) as bot:
             pushed = bot.roll_back()
-    show(pushed.as_json(), json, text_of(pushed, robot))
+    return Result(pushed.as_json(), [text_of(pushed, robot)])
 
 
 def own(
@@ -140,8 +137,7 @@ def own(
         Path | None, "Key file, which is made if it does not exist; default: the user's owner.key."
     ] = None,
     release: Annotated[bool, "Let anybody command the robot again."] = False,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Restrict a robot to the commands of its owner, who has a key. DISARM and STOP never need the key.
 
     The key is made on this computer. Keep a copy of it: without the key the chip must be erased and flashed.
@@ -158,13 +154,10 @@ def own(
         if release
         else f"{robot} accepts commands only with the key in {file}: keep a copy of it"
     )
-    show({"robot": robot, "owned": not release, "key": None if release else str(file)}, json, text)
+    return Result({"robot": robot, "owned": not release, "key": None if release else str(file)}, [text])
 
 
-def scan(
-    seconds: Annotated[float, "Time to listen, 0.5 to 60."] = 4.0,
-    json: opt.Json = False,
-) -> None:
+def scan(seconds: Annotated[float, "Time to listen, 0.5 to 60."] = 4.0) -> Result:
     """List the robots in Bluetooth range with signal, table and state, the strongest signal first.
 
     Each robot is connected to for a moment. None is armed, disarmed or moved. The exit code is 1 if no robot
@@ -177,11 +170,8 @@ def scan(
             f"{one.robot}, table {one.table_crc:08x}, {one.state}{', has an owner' if one.owned else ''}"
         )
         lines.append(f"{one.target}  {one.signal_dbm} dBm  {state}")
-    if found or json:
-        show({"robots": [one.as_json() for one in found]}, json, "\n".join(lines))
-    if not found:
-        say(
-            f"no robot advertises within {seconds:g} s: switch it on, charge it, bring it nearer, and "
-            "disconnect other hosts from it"
-        )
-        raise typer.Exit(1)
+    none = (
+        f"no robot advertises within {seconds:g} s: switch it on, charge it, bring it nearer, and "
+        "disconnect other hosts from it"
+    )
+    return Result({"robots": [one.as_json() for one in found]}, lines, bool(found), [] if found else [none])

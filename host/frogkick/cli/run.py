@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, TextIO
 
-import typer
-
 if sys.platform == "win32":
     import msvcrt
 else:
@@ -20,7 +18,7 @@ else:
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import say, show, stderr
+from frogkick.cli.common import Result, stderr
 
 
 @contextmanager
@@ -169,8 +167,7 @@ def run(
     ] = None,
     key: opt.Key = None,
     yes: Annotated[bool, "Arm a real robot without asking for Enter."] = False,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Follow a path in closed loop: position fixes come in, and strokes go out.
 
     At a terminal, Enter arms a real robot and any key stops the run. The robot is disarmed however the run
@@ -195,9 +192,9 @@ def run(
         operator=operator,
         progress=True,
     )
-    show(found.as_json(), json)
+    values, remarks = found.as_json(), []
     if found.tracking.stood:
-        say(
+        remarks.append(
             f"the robot made no progress along the path in {found.tracking.decisions} decisions, and was "
             f"{1e3 * found.tracking.mean_distance_m:.0f} mm from it on average: check that the path begins "
             "where the robot is, and that it leads where the robot can go"
@@ -207,16 +204,12 @@ def run(
     from frogkick.front.viewing import lost_limb_advice, tight_path_advice
 
     cut_short = why_unfinished(found)
-    if lacks := lost_limb_advice(found.ended):
-        say(lacks)
-    elif not cut_short and (tight := tight_path_advice(found, found.tracking)):
-        say(tight)
-    if said := hold_report(found.as_json()["hold"], hold):
-        say(said)
-    if lacking := missed_paths_report(len(then or ()), found.log):
-        say(lacking)
-    if cut_short:
-        say(f"the path was not completed, as {cut_short}")
-    failed = found.tracking.limit_violations or found.tracking.stood or bool(lacks)
-    if failed or cut_short:
-        raise typer.Exit(1)
+    lacks = lost_limb_advice(found.ended)
+    remarks += [
+        lacks or ("" if cut_short else tight_path_advice(found, found.tracking)),
+        hold_report(values["hold"], hold),
+        missed_paths_report(len(then or ()), found.log),
+        cut_short and f"the path was not completed, as {cut_short}",
+    ]
+    failed = found.tracking.limit_violations or found.tracking.stood or lacks or cut_short
+    return Result(values, passed=not failed, remarks=[remark for remark in remarks if remark])

@@ -10,7 +10,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import show
+from frogkick.cli.common import Result
 from frogkick.core.files import require_writable
 from frogkick.report.style import write_picture
 
@@ -29,8 +29,7 @@ def demo(
     ] = None,
     depth: opt.Depth = None,
     seed: opt.Seed = 0,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Simulate a robot, make its table, build the firmware, and follow paths on the virtual chip.
 
     Then a limb is worn, the wear is identified from the runs, and a new table is made and tested.
@@ -47,7 +46,7 @@ def demo(
     ]
     if ring.adaptation is not None:
         lines += _adaptation_lines(ring.adaptation)
-    show(values, json, "\n".join([*lines, f"report: {report.resolve()}"]), passed=ring.passed)
+    return Result(values, [*lines, f"report: {report.resolve()}"], passed=ring.passed)
 
 
 def _adaptation_lines(adaptation: Adaptation) -> list[str]:
@@ -74,7 +73,7 @@ def _hint(finding: Finding) -> str:
     return f" -> {finding.install}" if finding.install and finding.install not in finding.detail else ""
 
 
-def doctor(json: opt.Json = False) -> None:
+def doctor() -> Result:
     """Check which tools this machine has. The exit code is 1 if no run can be simulated here."""
     from frogkick.front.readiness import check_machine
 
@@ -96,13 +95,11 @@ def doctor(json: opt.Json = False) -> None:
             for finding in stage.findings
             if not finding.works
         ]
-    show(values, json, "\n".join(lines))
-    if not found.ready:
-        print("frogkick: doctor found something missing", file=sys.stderr)
-        raise typer.Exit(1)
+    remarks = [] if found.ready else ["doctor found something missing"]
+    return Result(values, lines, found.ready, remarks)
 
 
-def list_robots(json: opt.Json = False) -> None:
+def list_robots() -> Result:
     """List the built-in robots."""
     names = fk.built_in_robots()
     robots = [fk.load_robot(name) for name in names]
@@ -120,7 +117,7 @@ def list_robots(json: opt.Json = False) -> None:
         f"{row['name']}: {row['title']}; {row['limbs']} limbs, {row['actions']} actions, {row['period_s']} s"
         for row in rows
     ]
-    show({"robots": rows}, json, "\n".join(lines))
+    return Result({"robots": rows}, lines)
 
 
 def new_robot(
@@ -129,14 +126,13 @@ def new_robot(
         str, "Built-in name or TOML file to start from.", opt.With(names=("--from",))
     ] = "frog2022",
     limbs: Annotated[int | None, "Number of limbs to keep, from the first; default: all."] = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Write a complete robot file to start from, with a comment on every key."""
     from frogkick.front.describing import write_new_robot
 
     robot = write_new_robot(out, base, limbs)
-    facts = {"id": robot.id, "limbs": len(robot.limbs), "actions": len(robot.actions), "out": str(out)}
-    show(facts, json)
+    limbs, actions = len(robot.limbs), len(robot.actions)
+    return Result({"id": robot.id, "limbs": limbs, "actions": actions, "out": str(out)})
 
 
 def fit_stroke(
@@ -154,8 +150,7 @@ def fit_stroke(
     ] = None,
     length_m: Annotated[float | None, "Length of the limb, needed if its tip was tracked."] = None,
     picture: Annotated[Path | None, "PNG to write, of the measured strokes and the fits."] = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Fit limb profiles to measured strokes: how the curvature falls and recovers."""
     from frogkick.front.describing import fit_strokes
 
@@ -165,14 +160,13 @@ def fit_stroke(
     found.save(out)
     if picture is not None:
         write_picture(found.plot(), picture, ".png")
-    show({**found.as_json(), "out": str(out), "picture": picture and str(picture)}, json)
+    return Result({**found.as_json(), "out": str(out), "picture": picture and str(picture)})
 
 
 def show_robot(
     robot: opt.RobotArgument = "frog2022",
     out: Annotated[Path | None, "Picture to write (.png, .svg or .pdf)."] = None,
-    json: opt.Json = False,
-) -> None:
+) -> Result:
     """Show a robot in numbers, and draw it as it is simulated: nodes, frame, limbs at rest and active.
 
     All lengths are those at rest. Doubtful geometry and doubtful limits are reported as warnings.
@@ -188,22 +182,19 @@ def show_robot(
         write_picture(robot_figure(described), out)
     for warning in facts["warnings"]:
         print(f"frogkick: warning: {warning}", file=sys.stderr)
-    show({**facts, "out": out and str(out)}, json, _robot_text(described, facts))
+    return Result({**facts, "out": out and str(out)}, _robot_lines(described, facts))
 
 
-def draw_frames(
-    out: Annotated[Path, "Picture to write (.png, .svg or .pdf)."],
-    json: opt.Json = False,
-) -> None:
+def draw_frames(out: Annotated[Path, "Picture to write (.png, .svg or .pdf)."]) -> Result:
     """Draw the frames and units that files, options and logs use: pool, robot, tag and heights."""
     require_writable(out)
     from frogkick.report.frames_figure import UNITS, frames_figure
 
     write_picture(frames_figure(), out, dpi=90)
-    show({"out": str(out), "units": {what: unit for what, unit, _ in UNITS}}, json)
+    return Result({"out": str(out), "units": {what: unit for what, unit, _ in UNITS}})
 
 
-def _robot_text(robot: fk.Robot, facts: dict[str, Any]) -> str:
+def _robot_lines(robot: fk.Robot, facts: dict[str, Any]) -> list[str]:
     sizes, guard = facts["sizes"], robot.guard
     lines = [
         f"{robot.id}: {robot.title}",
@@ -224,4 +215,4 @@ def _robot_text(robot: fk.Robot, facts: dict[str, Any]) -> str:
     for action in facts["actions"]:
         first, second = (" ".join(action[group]) or "none" for group in ("first", "second"))
         lines.append(f"action {action['name']}: {first}; then {second}")
-    return "\n".join(lines)
+    return lines

@@ -260,14 +260,16 @@ def test_the_disk_is_full_while_the_robot_runs(tmp_path: Path, monkeypatch: pyte
         part = part_of(tmp_path / "run.h5")
         write, written = LiveLog._write, 0
 
-        def write_on_a_full_disk(self: LiveLog, rows: list[tuple[str, object, Any]]) -> None:
+        def write_on_a_full_disk(self: LiveLog, rows: list[tuple[str, int, Any]]) -> None:
             nonlocal written
             if written < 12:
                 write(self, rows)
-                written += sum(len(values) for name, _, values in rows if name == "fixes/time_s")
+                ends = [first + len(values) for name, first, values in rows if name == "fixes/time_s"]
+                written = max([written, *ends])
                 return
+            more = [(name, first + n * len(new), new) for n in range(300) for name, first, new in rows]
             with files_up_to(part.stat().st_size):
-                write(self, rows * 300)  # more than a chunk, which needs room
+                write(self, more)  # more than a chunk, which needs room
 
         monkeypatch.setattr(LiveLog, "_write", write_on_a_full_disk)
         now.fails(

@@ -172,7 +172,9 @@ def test_a_decision_in_a_log_that_is_cut_off_has_the_path_that_it_follows(
     """A path is written before the decisions that follow it."""
     recording, seen, flush = rig.swim("pool", PATH, 4.0), list[tuple[int, int]](), h5py.Dataset.flush
     other = shape("ellipse")
-    empty = replace(rig.recording(shape(PATH), OPTIONS).log(), then=(PathChange(-1, shape(PATH)),))
+    empty = replace(
+        rig.recording(shape(PATH), OPTIONS).log(), then=(PathChange(-1, shape(PATH), (0.0, 0.0, 0)),)
+    )
     live = LiveLog(tmp_path / "run.h5", empty)
 
     def flush_and_look(data: h5py.Dataset) -> None:
@@ -187,6 +189,7 @@ def test_a_decision_in_a_log_that_is_cut_off_has_the_path_that_it_follows(
     assert set(seen) == {(0, 0), (len(recording.decisions), 1)}
     (change,) = read_run(live.path).then
     assert change.decision == 1 and np.array_equal(change.path.points_m, other.points_m)
+    assert change.hold is None, "the room was one for a hold"
 
 
 def test_a_run_that_never_began_leaves_nothing(tmp_path: Path) -> None:

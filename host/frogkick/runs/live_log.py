@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 import pathlib
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import Any
 
 import h5py
 import numpy as np
@@ -19,8 +18,8 @@ import numpy as np
 from frogkick.core.arrays import AnyArray
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
-from frogkick.runs.record import UNKNOWN, Recording
-from frogkick.runs.runlog import PathChange, RunLog
+from frogkick.runs.record import Recording
+from frogkick.runs.runlog import Decisions, Fixes, PathChange, RunLog
 from frogkick.runs.runlog_file import fill
 
 CHUNK_ROWS = 256
@@ -31,9 +30,8 @@ HOLDS_MAX = 200
 CUT_OFF = "cut off while it ran"
 
 
-_Write = tuple[str, Any, Any]
-"""A dataset, a position in it (None: append; _WHOLE: replace the content), and the values."""
-_WHOLE = slice(None)
+_Rows = tuple[str, int, AnyArray]
+"""A dataset, a row of it, and the values from this row on to its end."""
 
 
 def part_of(target: pathlib.Path) -> pathlib.Path:
@@ -54,6 +52,7 @@ class LiveLog:
         self._made = [place for place in target.parents if not place.exists()]
         self._fixes = self._decisions = self._changes = self._rested = 0
         self._room = len(empty.then)  # a file that others read takes no further groups
+        self._has_holds = any(change.hold for change in empty.then)
         self._unanswered: list[int] = []
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +65,7 @@ class LiveLog:
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
         self._written = Bell()
-        self._waiting: list[_Write] = []
+        self._waiting: list[_Rows] = []
         self._writing = self._closing = False
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._live, name="log", daemon=True)
@@ -76,39 +75,36 @@ class LiveLog:
         """Hand over new rows, which are on the disk some 0.02 s later. InputError: the disk is full."""
         if self._error is not None:
             raise self._full() from self._error
-        writes: list[_Write] = []
-        first, self._fixes = self._fixes, len(recording.fixes)
-        if self._fixes > first:
-            fixes = recording.fix_columns(first)
-            writes += [(f"fixes/{name}", None, values) for name, values in fixes.all_columns().items()]
-        for row in self._unanswered:
-            if (status := recording.fix_status[row]) is not None:
-                taken_us = recording.capture_us[row]
-                writes.append(("fixes/robot_capture_us", row, -1 if taken_us is None else taken_us))
-                writes.append(("fixes/robot_status", row, status))
-                heard_us, heard_after = recording.heard[row] or UNKNOWN
-                writes += [("fixes/heard_after", row, heard_after), ("fixes/heard_us", row, heard_us)]
-        waiting = [*self._unanswered, *range(first, self._fixes)]
-        self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
-        for row, (rested_us, after) in list(recording.rested.items())[self._rested :]:
-            self._rested += 1
-            if row < self._decisions:  # else it is appended below
-                writes += [("decisions/rested_after", row, after), ("decisions/rested_us", row, rested_us)]
-        first, self._decisions = self._decisions, len(recording.decisions)
-        if self._decisions > first:
-            made = recording.decision_columns(first)
-            writes += [(f"decisions/{name}", None, values) for name, values in made.all_columns().items()]
-            for number, change in list(enumerate(recording.then))[self._changes : self._room]:
-                self._changes += 1
-                for name in ("x_m", "y_m", "tangent_rad"):
-                    writes.append((f"then/{number}/{name}", _WHOLE, getattr(change.path, name)))
-                if change.hold is not None:
-                    writes.append(("then/hold", number, change.hold))
-                writes.append(("then/decision", number, change.decision))
+        writes: list[_Rows] = []
+        status, count = recording.fix_status, len(recording.fixes)
+        first = min([self._fixes, *(row for row in self._unanswered if status[row] is not None)])
+        if first < count:
+            writes += _rows(recording.fix_columns(first), first)
+        waiting = [*self._unanswered, *range(self._fixes, count)][-CHUNK_ROWS:]
+        self._fixes, self._unanswered = count, [row for row in waiting if status[row] is None]
+        rested, count = list(recording.rested), len(recording.decisions)
+        first = min([self._decisions, *rested[self._rested :]])
+        if first < count:
+            writes += self._changed_paths(recording.then[: self._room])
+            writes += _rows(recording.decision_columns(first), first)
+        self._rested, self._decisions = len(rested), count
         if writes:
             with self._lock:
                 self._waiting += writes
                 self._condition.notify_all()
+
+    def _changed_paths(self, then: Sequence[PathChange]) -> list[_Rows]:
+        """The paths that have taken over since the last call, and the columns of all."""
+        writes: list[_Rows] = []
+        for number, change in list(enumerate(then))[self._changes :]:
+            points = {name: getattr(change.path, name) for name in ("x_m", "y_m", "tangent_rad")}
+            writes += [(f"then/{number}/{name}", 0, values) for name, values in points.items()]
+        if writes:
+            self._changes, rest = len(then), self._room - len(then)
+            holds = [*(change.hold or (np.nan,) * 3 for change in then), *[(0.0, 0.0, 0.0)] * rest]
+            writes += [("then/hold", 0, np.array(holds))] if self._has_holds else []
+            writes.append(("then/decision", 0, np.array([*(one.decision for one in then), *[-1] * rest])))
+        return writes
 
     def settle(self) -> None:
         """Wait until all rows are on the disk."""
@@ -159,45 +155,28 @@ class LiveLog:
                 # Writing one row takes as long as writing ten, so gather some.
                 self._condition.wait_for(lambda: self._closing, GATHER_S)
 
-    def _write(self, writes: list[_Write]) -> None:
-        """Write and flush changes in earlier rows, then new fixes, then paths, then decisions.
+    def _write(self, writes: list[_Rows]) -> None:
+        """Write and flush fixes, then paths, then decisions.
 
         In an interrupted log, everything that was known before a decision is therefore present, and the path
-        that it follows.
+        that it follows: a decision is not read before all of its columns are there.
         """
-        parts: dict[str, list[AnyArray]] = {}
-        for name, place, values in writes:
-            if place is None:
-                parts.setdefault(name, []).append(values)
-        new = {name: np.concatenate(some) for name, some in parts.items()}
-        changed: dict[str, h5py.Dataset] = {}
-        for name, place, values in writes:
-            if place is None or name.startswith("then/"):
-                continue
-            data = self._file[name]
-            if place < len(data):
-                changed[name] = data
-                data[place] = values
-            else:
-                new[name][place - len(data)] = values
-        for data in changed.values():
-            data.flush()
-        self._append({name: rows for name, rows in new.items() if name.startswith("fixes/")})
-        for name, place, values in writes:
-            if name.startswith("then/"):
+        new: dict[str, tuple[int, AnyArray]] = {}
+        for name, first, values in writes:
+            begin, before = new.get(name, (first, values[:0]))
+            new[name] = min(begin, first), np.concatenate([before[: max(0, first - begin)], values])
+        for group in ("fixes/", "then/", "decisions/"):
+            for name in (name for name in new if name.startswith(group)):
+                first, values = new[name]
                 data = self._file[name]
-                if place == _WHOLE:
-                    data.resize((len(values),))
-                data[place] = values
+                if len(data) != first + len(values):
+                    data.resize(first + len(values), axis=0)
+                data[first:] = values
                 data.flush()
-        self._append({name: rows for name, rows in new.items() if not name.startswith("fixes/")})
 
-    def _append(self, rows: Mapping[str, AnyArray]) -> None:
-        for name, values in rows.items():
-            data = self._file[name]
-            data.resize(len(data) + len(values), axis=0)
-            data[len(data) - len(values) :] = values
-            data.flush()
+
+def _rows(group: Fixes | Decisions, first: int) -> list[_Rows]:
+    return [(f"{group.NAME}/{name}", first, values) for name, values in group.all_columns().items()]
 
 
 @contextmanager

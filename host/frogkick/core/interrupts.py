@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -45,22 +45,14 @@ class Bell:
             self._quiet.acquire(timeout=left_s)
 
 
-def interrupt_on_stops(also_ignored: bool = False) -> list[tuple[int, Any]]:
+def interrupt_on_stops() -> None:
     """Let STOPS interrupt the program like a Ctrl-C, so that it cleans up.
 
-    Args:
-        also_ignored: also those that this program was told to ignore, such as SIGHUP by ``nohup``.
-
-    Returns:
-        The signals whose handlers were replaced, with the handlers before.
+    Those that it was told to ignore stay ignored, such as SIGHUP by ``nohup``.
     """
-    replaced = []
     for number in STOPS:
-        before = signal.getsignal(number)
-        if also_ignored or before is not signal.SIG_IGN:
+        if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _as_ctrl_c)
-            replaced.append((number, signal.SIG_DFL if before is None else before))
-    return replaced
 
 
 def _as_ctrl_c(_number: int, frame: FrameType | None) -> None:
@@ -72,31 +64,26 @@ def _as_ctrl_c(_number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def stops_are_interrupts() -> Iterator[None]:
+def _handling(handler: Any, *numbers: int) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = [(number, signal.signal(number, handler)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, earlier in before:
+            signal.signal(number, signal.SIG_DFL if earlier is None else earlier)
+
+
+def stops_are_interrupts() -> AbstractContextManager[None]:
     """Let STOPS, also ignored ones, interrupt like Ctrl-C in the context, so that a robot is disarmed."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = interrupt_on_stops(also_ignored=True)
-    try:
-        yield
-    finally:
-        for number, handler in before:
-            signal.signal(number, handler)
+    return _handling(_as_ctrl_c, *STOPS)
 
 
-@contextmanager
-def uninterrupted() -> Iterator[None]:
+def uninterrupted() -> AbstractContextManager[None]:
     """Ignore Ctrl-C and STOPS meanwhile."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = [(number, signal.signal(number, signal.SIG_IGN)) for number in (signal.SIGINT, *STOPS)]
-    try:
-        yield
-    finally:
-        for number, handler in before:
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+    return _handling(signal.SIG_IGN, signal.SIGINT, *STOPS)
 
 
 @contextmanager

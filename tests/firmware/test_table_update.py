@@ -14,13 +14,13 @@ from tests.planner import synthetic
 from frogkick.core.files import write_bytes
 from frogkick.library import BUDGET_BYTES
 from frogkick.link.layout import Value, link_layout
-from frogkick.link.upload import UploadError, upload
 from frogkick.paths import shape
 from frogkick.planner.plan import config_of, plan
 from frogkick.pool.chip import ChipError, VirtualChip
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import load_robot
 from frogkick.runs.decision import LIMB_USE_FIELDS
+from frogkick.runs.pushing import UploadError, upload
 from frogkick.runs.session import Session
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from tests.runs import rig
 
 from frogkick.core.poses import Fix
-from frogkick.link.text_dialect import LIMBS
+from frogkick.runs.text_robot import LIMBS
 
 PATH = "line"
 

@@ -27,10 +27,10 @@ from frogkick.core.poses import Fix
 from frogkick.link import ble
 from frogkick.link.ble import BleWire, explained
 from frogkick.link.frames import unpack_frame
-from frogkick.link.upload import upload
 from frogkick.link.wire import WireError
 from frogkick.paths import shape
 from frogkick.runs.lab_session import lab_session
+from frogkick.runs.pushing import upload
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from frogkick.core.errors import InputError
-from frogkick.link.text_dialect import fire_line, limb_numbers, pulse_line
+from frogkick.runs.text_robot import fire_line, limb_numbers, pulse_line
 from frogkick.runs.tracked_fixes import LineFixes, parse_line
 
 

@@ -23,12 +23,11 @@ from frogkick.link import auth
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.pty_line import PtyLine
-from frogkick.link.upload import upload
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import run_session
 from frogkick.runs.lab_session import LabPort, LabSession, lab_session
-from frogkick.runs.pushing import own
+from frogkick.runs.pushing import own, upload
 from frogkick.runs.record import RunOptions
 from frogkick.runs.session import LinkError
 

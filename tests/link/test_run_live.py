@@ -26,10 +26,8 @@ from tests.runs import rig
 
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
-from frogkick.link.opening import opened
 from frogkick.link.pty_line import PtyLine
-from frogkick.link.text_dialect import DIALECTS, pulse_line
-from frogkick.link.wire import Target
+from frogkick.link.wire import Target, opened
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import Pulse, pulses_of, violations
@@ -41,7 +39,7 @@ from frogkick.runs.path_change import NextPath
 from frogkick.runs.record import RunOptions
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
-from frogkick.runs.text_robot import TextRobot
+from frogkick.runs.text_robot import DIALECTS, TextRobot, pulse_line
 
 PERIOD_S = rig.PERIOD_S
 STATE = link_layout().state

@@ -20,10 +20,10 @@ from frogkick.core.errors import FrogkickError
 from frogkick.core.poses import Fix
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
-from frogkick.link.upload import CHUNK_BYTES, upload
 from frogkick.link.wire import WireError
 from frogkick.paths import shape
 from frogkick.runs.lab_session import LabSession, lab_session
+from frogkick.runs.pushing import CHUNK_BYTES, upload
 from frogkick.runs.session import LinkError
 from frogkick.tables.image import open_image
 

@@ -19,12 +19,12 @@ from tests.soak.witness import SeenRobot
 from frogkick.core.errors import FrogkickError
 from frogkick.link.frames import hello
 from frogkick.link.layout import Arguments, Value, link_layout
-from frogkick.link.upload import upload
 from frogkick.link.wire import Edge
 from frogkick.planner.plan import config_of
 from frogkick.pool.pool import Camera
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import SETTLE_S, START_DELAY_S, parameters
+from frogkick.runs.pushing import upload
 from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, LinkError, Session
 from frogkick.tables.image import Tables
 

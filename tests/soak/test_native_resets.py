@@ -9,11 +9,11 @@ from tests.soak import rig
 
 from frogkick.link.frames import pack_frame
 from frogkick.link.layout import Value, link_layout
-from frogkick.link.upload import upload
 from frogkick.link.wire import BYTE_S
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.native_robot import WATCHDOG_S, NativeRobot
 from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick.runs.pushing import upload
 from frogkick.runs.session import LinkError, Session
 
 RESET, STATE = link_layout().reset, link_layout().state

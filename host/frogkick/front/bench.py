@@ -21,9 +21,7 @@ from frogkick.front.places import built_firmware, start_pose
 from frogkick.front.viewing import SLOW_S, viewed
 from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
-from frogkick.link.opening import opened, require_wire
-from frogkick.link.text_dialect import pulse_line, require_dialect
-from frogkick.link.wire import FORMS, Wire, is_target, parse_target
+from frogkick.link.wire import FORMS, Wire, is_target, opened, parse_target, require_wire
 from frogkick.paths import Path as SwimPath
 from frogkick.paths.hold import hold_at_end
 from frogkick.planner.plan import PlanConfig
@@ -41,7 +39,7 @@ from frogkick.runs.record import Recording, made_of
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.summary import refused_fixes
-from frogkick.runs.text_robot import TextRobot
+from frogkick.runs.text_robot import TextRobot, pulse_line, require_dialect
 from frogkick.runs.tracked_fixes import CameraFixes, LineFixes
 from frogkick.tables.image import Tables
 from frogkick.vision.calibration import read_calibration

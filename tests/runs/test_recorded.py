@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 from tests.conftest import from_ci
 
 from frogkick.core.errors import InputError
-from frogkick.runs.recorded.clock import estimate_clock, motion_lag
-from frogkick.runs.recorded.importer import cost_mismatch, import_recorded, load_run, read_recorded, summarise
+from frogkick.runs.recorded.clock import estimate_clock
+from frogkick.runs.recorded.importer import (
+    cost_mismatch,
+    import_recorded,
+    load_run,
+    motion_lag,
+    read_recorded,
+    summarise,
+)
 from frogkick.runs.recorded.table import mark_frames, misdetections, untrusted_times
 from frogkick.runs.runlog import DecisionFlag, FixFlag
 
@@ -148,10 +155,10 @@ def test_clock_is_within_its_polygon(period_s: float, seed: int) -> None:
     labels = np.array([0, 1, 2, 3, 0, 2, 1, 3, 2, 0, 1])[np.maximum(count, 0) % 11]
     clock = estimate_clock(time, np.where(count < 0, REST, labels), np.ones(400, dtype=bool), REST, LIMITS_S)
     assert clock is not None
-    assert clock.slack_s > 0.0 and not clock.problem and not clock.slips
-    assert clock.resultant > 0.93 and clock.labels > 10
-    assert abs(clock.period_s - period_s) < 5 * clock.period_std_s + 2e-4
-    assert abs(clock.phase_s - phase) < 5 * clock.phase_std_s + 2e-3
+    assert clock.evidence["clock_slack_s"] > 0.0 and not clock.problem and not clock.slips
+    assert clock.evidence["clock_resultant"] > 0.93 and clock.evidence["clock_labels"] > 10
+    assert abs(clock.period_s - period_s) < 5 * clock.evidence["period_std_s"] + 2e-4
+    assert abs(clock.evidence["phase_s"] - phase) < 5 * clock.evidence["phase_std_s"] + 2e-3
 
 
 def test_clock_without_changes_and_against_the_labels() -> None:

@@ -5,19 +5,38 @@ i-1 and i, so each change of label bounds phase + k * period by two time stamps.
 bounds too, and sometimes twice the period. The robot's speed resolves this: it has its fundamental at
 1 / period and nothing below.
 
-The search covers all periods that the robot allows, with slips (see ``periods``). The labels' bounds leave a
-small polygon of (period, phases): its centroid is the estimate and its spread the uncertainty (uniform).
+The search covers all periods that the robot allows, by labels and motion together. The score in nats has
+three parts: labels as von Mises about the clock, log(period) for each of them (a shorter period would have
+allowed more changes), and the speed's fundamental as a sinusoid of known size in white noise. A slip, from
+which labels and speed have another phase, costs ``SLIP`` nats. The labels' bounds leave a small polygon of
+(period, phases): its centroid is the estimate and its spread the uncertainty (uniform).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frogkick.core.arrays import Bool, Float64, Int64
-from frogkick.core.poses import body_from_world
-from frogkick.runs.recorded.periods import DETREND_S, SAME, WINDOW_S, Evidence, Fit, search
+
+Complex = NDArray[np.complex128]
+
+LABEL, MOTION, SLIP = 30.0, 8.0, 12.0
+"""Concentration of a label about the clock; the fundamental's share of the speed's standard deviation (0.4 of
+1 on the published runs) times the frames of a window (20); nats that a slip must be worth."""
+
+LABEL_ROOM_S = 0.25
+"""Labels with wider bounds limit the clock but do not count in the score."""
+
+WINDOW_S, WINDOWS_MOST, DETREND_S = 1.5, 80, 3.0
+BLOCK_S = (8.0, 30.0)
+"""Shortest and longest piece of a run with a constant clock in the first search."""
+
+CANDIDATES, SAME = 5, 0.03
+"""Number of periods in the second search, and relative difference up to which two periods are the same."""
 
 RESULTANT_LEAST, SLACK_LEAST_S, NATS_LEAST, POWER_LEAST, OFF_S, OFF_SHARE = 0.9, -0.03, 5.0, 8.0, 0.1, 0.2
 """Limits of a usable clock: mean resultant length, slack of its labels (s), nats over the next best period,
@@ -39,27 +58,52 @@ class Slip:
 
 @dataclass(frozen=True)
 class Clock:
-    """Stroke clock: decision k is at phase_s + k * period_s, until it slips."""
+    """Stroke clock: decisions are a period apart from the first label that fires on, until it slips."""
 
-    # period_s, phase_s: s; the phase is that of the first label that fires
     period_s: float
-    phase_s: float
-    # period_std_s, phase_std_s: standard uncertainty, s
-    period_std_s: float
-    phase_std_s: float
-    # largest range of the phases within the labels' bounds, s; negative: size of the contradiction
-    slack_s: float
-    resultant: float  # mean resultant length of the changes of label about the clock, 0 to 1
-    labels: int  # number of these changes
-    motion_power: float  # power of the speed's fundamental at this period over its noise; about 1 without one
-    # other_period_s, other_resultant: the next best period; NaN if there is none
-    other_period_s: float
-    other_resultant: float
-    margin: float  # nats by which the period is better than that one; infinite if there is none
-    slips: tuple[Slip, ...] = ()  # in order
-    # (m,) s, of all decisions until the end of the run
-    starts_s: Float64 = field(default_factory=lambda: np.empty(0))
-    problem: str = ""  # why the clock is not usable, or ""
+    starts_s: Float64  # (m,) s, of all decisions until the end of the run
+    slips: tuple[Slip, ...]  # in order
+    problem: str  # why the clock is not usable, or ""
+    evidence: dict[str, float]  # for ``RunLog.measured``, without unknown values
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Evidence for a clock: bounds of the labels, and speed without its slow part."""
+
+    # earliest, latest: (n,) s, bounds of the changes of label; earliest may be -inf
+    earliest: Float64
+    latest: Float64
+    # time_s, speed: (k,) of pairs of frames, speed over its standard deviation; empty without motion
+    time_s: Float64
+    speed: Float64
+    end_s: float  # s, of the run
+
+    @property
+    def votes(self) -> Bool:
+        """(n,) changes with narrow bounds, which count in the score."""
+        return np.asarray(self.latest - self.earliest <= LABEL_ROOM_S)
+
+    @property
+    def anchor(self) -> Float64:
+        """(v,) s, centres of the bounds of these changes."""
+        return np.asarray(0.5 * (self.earliest + self.latest)[self.votes])
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first row that has the first label that fires, s."""
+        return float(self.latest[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A period with the pieces between its slips."""
+
+    period_s: float
+    score: float  # nats
+    resultant: float  # mean resultant length, 0 to 1
+    # (first time, last time, phase) of each, s, with the events at its ends
+    pieces: tuple[tuple[float, float, float], ...]
 
 
 def estimate_clock(
@@ -78,7 +122,7 @@ def estimate_clock(
         trusted: (n,) rows with a credible time stamp.
         rest: label of the action that fires nothing.
         limits_s: shortest and longest period that the robot allows.
-        motion: (k,) times, s, and (k,) forward speeds, m/s, between frames; see ``forward_speed``.
+        motion: (k,) times, s, and (k,) forward speeds, m/s, between frames.
     """
     firing = np.flatnonzero(action != rest)
     if not firing.size:
@@ -89,25 +133,28 @@ def estimate_clock(
     rival = next((fit for fit in fits if abs(fit.period_s / best.period_s - 1.0) > SAME), None)
     power = _power(seen, best)
     period, std, phases, phase_std, slack, off = _polygon(seen, best, limits_s)
-    margin = best.score - rival.score if rival is not None else np.inf
+    margin = float(best.score - rival.score) if rival is not None else np.inf
     starts, slips = _starts(seen, best, period, phases)
-    voting = int(seen.votes.sum())
-    return Clock(
-        period_s=period,
-        phase_s=float(starts[0]),
-        period_std_s=std,
-        phase_std_s=phase_std,
-        slack_s=slack,
-        resultant=best.resultant,
-        labels=voting,
-        motion_power=power,
-        other_period_s=rival.period_s if rival is not None else np.nan,
-        other_resultant=rival.resultant if rival is not None else np.nan,
-        margin=float(margin),
-        slips=slips,
-        starts_s=starts,
-        problem=_problem(seen, best, rival, power, float(margin), off, slack),
-    )
+    problem = _problem(seen, best, rival, power, margin, off, slack)
+    evidence = {
+        "period_std_s": std,  # standard uncertainty, also of the phase
+        "phase_s": starts[0],  # of the first label that fires
+        "phase_std_s": phase_std,
+        # largest range of the phases within the labels' bounds; negative: size of the contradiction
+        "clock_slack_s": slack,
+        "clock_resultant": best.resultant,  # mean resultant length of the changes of label about the clock
+        "clock_labels": seen.votes.sum(),  # number of these changes
+        # power of the speed's fundamental at this period over its noise; about 1 without one
+        "clock_motion_power": power,
+        # of the next best period, and nats by which the period is better
+        "clock_other_period_s": rival.period_s if rival is not None else np.nan,
+        "clock_other_resultant": rival.resultant if rival is not None else np.nan,
+        "clock_margin_nats": margin,
+        "clock_slips": len(slips),
+        "clock_unusable": bool(problem),
+    }
+    known = {name: float(value) for name, value in evidence.items() if np.isfinite(value)}
+    return Clock(period, starts, slips, problem, known)
 
 
 def _evidence(
@@ -293,39 +340,90 @@ def _problem(
     return ""
 
 
-def forward_speed(time_s: Float64, pose: Float64, usable: Bool) -> tuple[Float64, Float64, Float64]:
-    """Start and end (s) of all pairs of successive usable frames, and (k,) speed along the heading, m/s."""
-    rows = np.flatnonzero(usable)
-    start, end = time_s[rows[:-1]], time_s[rows[1:]]
-    step = np.diff(pose[rows], axis=0)
-    along = body_from_world(pose[rows[1:], 2], step)[:, 0]
-    return start, end, along / np.maximum(end - start, 1e-3)
+def search(seen: Evidence, limits_s: tuple[float, float]) -> list[Fit]:
+    """Candidate periods, best first."""
+    length_s = max(seen.end_s - seen.start_s, 1.0)
+    block_s = float(np.clip(length_s / 4.0, *BLOCK_S))
+    high, low = 1.0 / limits_s[0], 1.0 / limits_s[1]
+    rates = np.arange(low, high, 0.1 / block_s)
+    rough = np.zeros(len(rates))
+    edges = np.arange(seen.start_s - 1.0, seen.end_s + block_s, block_s)
+    for first, last in pairwise(edges):
+        labels, speed = _phasors(seen, rates, [first, last])
+        rough += LABEL * np.abs(labels[:, 0]) + MOTION * np.abs(speed[:, 0])
+    rough -= len(seen.anchor) * np.log(rates)
+    # Also coherent over the complete run, for few labels in many blocks.
+    labels, speed = _phasors(seen, rates, [-np.inf, np.inf])
+    whole = LABEL * np.abs(labels[:, 0]) + MOTION * np.abs(speed[:, 0]) - len(seen.anchor) * np.log(rates)
+    tops = {place for score in (rough, whole) for place in _peaks(score)[:CANDIDATES]}
+    fits = []
+    for place in tops:
+        near = rates[place] + np.arange(-0.4 / block_s, 0.4 / block_s, 0.05 / length_s)
+        near = near[(near >= low) & (near <= high)]
+        if len(near):
+            fits.append(_piecewise(seen, near))
+    return sorted(fits, key=lambda fit: -fit.score)
 
 
-def motion_lag(time_s: Float64, pose: Float64, usable: Bool, fired_s: Float64) -> float | None:
-    """Time from a label to the onset of forward motion, s; None with too few frames.
+def _peaks(score: Float64) -> list[int]:
+    padded = np.concatenate([[-np.inf], score, [-np.inf]])
+    inside = padded[1:-1]
+    top = np.flatnonzero((inside >= padded[:-2]) & (inside > padded[2:]))
+    return [int(place) for place in top[np.argsort(-score[top])]]
 
-    The forward speed around all strokes is fitted by a line (the glide) plus a ramp from the onset on,
-    averaged over the interval of each pair of frames. The result is uncertain: other windows and glide models
-    gave 0.05 to 0.12 s for the same run. Stroke times come from the labels alone.
 
-    Args:
-        time_s, pose, usable: the frames, (n,), (n, 3), (n,).
-        fired_s: (k,) s, start of the actions that fire.
-    """
-    if usable.sum() < 2 or not fired_s.size:
-        return None
-    start, end, speed = forward_speed(time_s, pose, usable)
-    nearest = fired_s[np.abs(0.5 * (start + end)[:, None] - fired_s[None, :]).argmin(axis=1)]
-    a, b = start - nearest, end - nearest
-    used = (a > -0.25) & (b < 0.20) & (b - a < 0.15)
-    if used.sum() < 20:
-        return None
-    a, b, speed = a[used], b[used], speed[used]
-    candidates = np.arange(-0.05, 0.15, 0.002)
-    errors = []
-    for onset in candidates:
-        ramp = (np.maximum(b - onset, 0.0) ** 2 - np.maximum(a - onset, 0.0) ** 2) / (2.0 * (b - a))
-        design = np.column_stack([np.ones_like(ramp), 0.5 * (a + b), ramp])
-        errors.append(float(((design @ np.linalg.lstsq(design, speed, rcond=None)[0] - speed) ** 2).sum()))
-    return float(candidates[int(np.argmin(errors))])
+def _phasors(seen: Evidence, rates: Float64, edges: list[float] | Float64) -> tuple[Complex, Complex]:
+    """(r, pieces) sums of the labels' unit phasors, and of the speed's, whose windows are at most about 1."""
+    sums = np.zeros((2, len(rates), len(edges) - 1), dtype=np.complex128)
+    window = np.searchsorted(seen.time_s, edges)
+    per_window = max(len(seen.time_s) * WINDOW_S / max(seen.end_s - seen.start_s, 1.0), 4.0)
+    for piece, (first, last) in enumerate(pairwise(edges)):
+        anchor = seen.anchor[(seen.anchor >= first) & (seen.anchor < last)]
+        sums[0, :, piece] = np.exp(-2j * np.pi * np.outer(rates, anchor)).sum(axis=1)
+        rows = slice(window[piece], window[piece + 1])
+        turned = np.exp(-2j * np.pi * np.outer(rates, seen.time_s[rows]))
+        sums[1, :, piece] = turned @ seen.speed[rows] * (np.sqrt(2.0) / per_window)
+    return sums[0], sums[1]
+
+
+def _piecewise(seen: Evidence, rates: Float64) -> Fit:
+    """The best of some rates, each with its best slips, by dynamic programming over events."""
+    window_s = max(WINDOW_S, (seen.end_s - seen.start_s) / WINDOWS_MOST)
+    edges = np.arange(seen.start_s - 1.0, seen.end_s + window_s, window_s)
+    _, speed = _phasors(seen, rates, edges)
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    labels = np.exp(-2j * np.pi * np.outer(rates, seen.anchor))
+    order = np.argsort(np.concatenate([seen.anchor, middle]), kind="stable")
+    times = np.concatenate([seen.anchor, middle])[order]
+    is_label = (np.arange(len(order)) < len(seen.anchor))[order]
+    # The lag of the motion after the labels is unknown, and the same in all pieces.
+    lags = np.exp(2j * np.pi * np.arange(12) / 12)
+    if not len(seen.speed):
+        lags = lags[:1]
+    labels_sum = np.concatenate([LABEL * labels, np.zeros_like(speed)], axis=1)[:, order]
+    speed_sum = np.concatenate([np.zeros_like(labels), MOTION * speed], axis=1)[:, order]
+    total = labels_sum[:, None, :] + lags[None, :, None] * speed_sum[:, None, :]
+    sums = np.concatenate([np.zeros((*total.shape[:2], 1)), np.cumsum(total, axis=2)], axis=2)
+    count = len(order)
+    best = np.full((count + 1, *total.shape[:2]), -np.inf)
+    best[0] = SLIP
+    back = np.zeros((count + 1, *total.shape[:2]), dtype=np.int64)
+    for last in range(1, count + 1):
+        for first in range(last):
+            value = best[first] - SLIP + np.abs(sums[:, :, last] - sums[:, :, first])
+            better = value > best[last]
+            best[last] = np.where(better, value, best[last])
+            back[last] = np.where(better, first, back[last])
+    score = best[count] - len(seen.anchor) * np.log(rates)[:, None]
+    rate, lag = np.unravel_index(int(score.argmax()), score.shape)
+    period = float(1.0 / rates[rate])
+    pieces, resultant, last = [], 0.0, count
+    while last > 0:
+        first = int(back[last, rate, lag])
+        turn = sums[rate, lag, last] - sums[rate, lag, first]
+        pieces.append((times[first], times[last - 1], float(-np.angle(turn) * period / (2.0 * np.pi))))
+        inside = is_label[first:last]
+        resultant += abs(labels_sum[rate, first:last][inside].sum()) / LABEL
+        last = first
+    votes = len(seen.anchor)
+    return Fit(period, float(score.max()), resultant / votes if votes else 0.0, tuple(pieces[::-1]))

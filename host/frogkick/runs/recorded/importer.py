@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int64
+from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
-from frogkick.core.poses import wrap_angle
+from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.paths import from_csv
 from frogkick.robot import Robot, load_robot
-from frogkick.runs.recorded.clock import Clock, estimate_clock, forward_speed, motion_lag
+from frogkick.runs.recorded.clock import Clock, estimate_clock
 from frogkick.runs.recorded.table import ACTION_NAMES, Table, check_units, mark_frames, read_table
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes
 from frogkick.runs.runlog_file import read_run, write_run
@@ -96,15 +96,15 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     if clock is None:
         notes.append("no action fires in it")
     else:
-        measured = _evidence(clock)
+        measured = dict(clock.evidence)
         notes += [
             f"{CLOCK_SLIPS}{slip.jump_s:+.3f} s between {slip.time_s:.2f} and {slip.until_s:.2f} s"
             for slip in clock.slips
         ]
         if clock.problem:
             notes.append(f"{CLOCK_UNUSABLE}{clock.problem}")
-        if clock.slack_s < 0.0:
-            notes.append(f"labels contradict a constant stroke clock by {-clock.slack_s:.3f} s")
+        if (slack_s := clock.evidence["clock_slack_s"]) < 0.0:
+            notes.append(f"labels contradict a constant stroke clock by {-slack_s:.3f} s")
         lag = motion_lag(table.time_s, pose, usable, decisions.time_s[decisions.action != REST])
         if lag is not None:
             measured["motion_lag_s"] = lag
@@ -140,6 +140,44 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     )
 
 
+def forward_speed(time_s: Float64, pose: Float64, usable: Bool) -> tuple[Float64, Float64, Float64]:
+    """Start and end (s) of all pairs of successive usable frames, and (k,) speed along the heading, m/s."""
+    rows = np.flatnonzero(usable)
+    start, end = time_s[rows[:-1]], time_s[rows[1:]]
+    step = np.diff(pose[rows], axis=0)
+    along = body_from_world(pose[rows[1:], 2], step)[:, 0]
+    return start, end, along / np.maximum(end - start, 1e-3)
+
+
+def motion_lag(time_s: Float64, pose: Float64, usable: Bool, fired_s: Float64) -> float | None:
+    """Time from a label to the onset of forward motion, s; None with too few frames.
+
+    The forward speed around all strokes is fitted by a line (the glide) plus a ramp from the onset on,
+    averaged over the interval of each pair of frames. The result is uncertain: other windows and glide models
+    gave 0.05 to 0.12 s for the same run. Stroke times come from the labels alone.
+
+    Args:
+        time_s, pose, usable: the frames, (n,), (n, 3), (n,).
+        fired_s: (k,) s, start of the actions that fire.
+    """
+    if usable.sum() < 2 or not fired_s.size:
+        return None
+    start, end, speed = forward_speed(time_s, pose, usable)
+    nearest = fired_s[np.abs(0.5 * (start + end)[:, None] - fired_s[None, :]).argmin(axis=1)]
+    a, b = start - nearest, end - nearest
+    used = (a > -0.25) & (b < 0.20) & (b - a < 0.15)
+    if used.sum() < 20:
+        return None
+    a, b, speed = a[used], b[used], speed[used]
+    candidates = np.arange(-0.05, 0.15, 0.002)
+    errors = []
+    for onset in candidates:
+        ramp = (np.maximum(b - onset, 0.0) ** 2 - np.maximum(a - onset, 0.0) ** 2) / (2.0 * (b - a))
+        design = np.column_stack([np.ones_like(ramp), 0.5 * (a + b), ramp])
+        errors.append(float(((design @ np.linalg.lstsq(design, speed, rcond=None)[0] - speed) ** 2).sum()))
+    return float(candidates[int(np.argmin(errors))])
+
+
 def period_limits(robot: Robot) -> tuple[float, float]:
     """Shortest and longest period of a robot, s, by its pulse, rest, delay and measured frequencies."""
     measured = [p.frequency_hz for p in robot.profiles if p.egain_percent == robot.egain_percent]
@@ -147,25 +185,6 @@ def period_limits(robot: Robot) -> tuple[float, float]:
     if not measured:
         return shortest, 2.0 * robot.period_s
     return max(shortest, 1.0 / max(measured)), 1.0 / min(measured)
-
-
-def _evidence(clock: Clock) -> dict[str, float]:
-    """Evidence for the clock, for ``RunLog.measured``, without unknown values."""
-    values = {
-        "period_std_s": clock.period_std_s,
-        "phase_s": clock.phase_s,
-        "phase_std_s": clock.phase_std_s,
-        "clock_slack_s": clock.slack_s,
-        "clock_resultant": clock.resultant,
-        "clock_labels": clock.labels,
-        "clock_motion_power": clock.motion_power,
-        "clock_other_period_s": clock.other_period_s,
-        "clock_other_resultant": clock.other_resultant,
-        "clock_margin_nats": clock.margin,
-        "clock_slips": len(clock.slips),
-        "clock_unusable": float(bool(clock.problem)),
-    }
-    return {name: float(value) for name, value in values.items() if np.isfinite(value)}
 
 
 def clock_problem(run: RunLog) -> str:

@@ -24,9 +24,9 @@ from frogkick.vision.board import (
     calibrate_corners,
     calibrate_lens,
     calibrate_plane,
+    picture_files,
     read_corners,
     read_picture,
-    read_pictures,
 )
 from frogkick.vision.calibration import (
     Calibration,
@@ -127,7 +127,7 @@ def calibrate_camera(
             raise InputError(
                 "--pictures shows a board: give its kind with --board chessboard or --board charuco"
             )
-        found = read_pictures(pictures)
+        found = [(file.name, read_picture(file)) for file in picture_files(pictures)]
         lens, lens_rms_px = calibrate_lens(board, found)
         seen = (found[0][1].shape[1], found[0][1].shape[0])
         if image_px is not None and image_px != seen:

@@ -279,8 +279,8 @@ class _Segment:
         self.found.segments += 1
         self.found.replayed += snapshot.end - snapshot.begin
         for index, record in enumerate(self.records):
-            if not self.made and self._is_cut(index):
-                return index
+            if not self.made and all(later.name == "SNAPSHOT" for later in self.records[index:]):
+                return index  # the log ends before the command that the snapshot precedes
             if not self.made:
                 self.made = self._cause(index)
             if not self.made:
@@ -304,10 +304,6 @@ class _Segment:
         self.found.decisions += twin.decisions
         self.found.actions += [names[decision.action] for decision in twin.decisions]
         return len(self.records)
-
-    def _is_cut(self, index: int) -> bool:
-        """Whether the log ends before the command that the snapshot precedes."""
-        return all(record.name == "SNAPSHOT" for record in self.records[index:])
 
     def _cause(self, index: int) -> list[Record]:
         """Make the core write the record; a snapshot is written by the command after it."""

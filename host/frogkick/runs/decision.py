@@ -54,29 +54,27 @@ class Decision:
     fixes: int = 0
     path_index: int = 0
     nearest_state: int = 0
-    cost: np.float32 = np.float32(0.0)  # noqa: RUF009 - immutable
-    # estimate, predicted: (6,) float32, pose world and velocity body, before and after the action
-    estimate: Float32 = field(default_factory=_no_state)
-    predicted: Float32 = field(default_factory=_no_state)
-    plan_us: int = 0  # computing time; 0 where it was not measured
     limb_use: tuple[int, ...] = (0,) * LIMBS_MAX  # (8,) recent use of each limb before the action
     # (8,) estimated share of its contribution that each limb has lost, 0 to 32767
     lost: tuple[int, ...] = NOTHING_LOST
     depth_reached: int = 0
     transitions: int = 0
+    cost: np.float32 = np.float32(0.0)  # noqa: RUF009 - immutable
     distance_m: np.float32 = np.float32(0.0)  # noqa: RUF009
     along_points: np.float32 = np.float32(0.0)  # noqa: RUF009
+    # estimate, predicted: (6,) float32, pose world and velocity body, before and after the action
+    estimate: Float32 = field(default_factory=_no_state)
+    predicted: Float32 = field(default_factory=_no_state)
+    plan_us: int = 0  # computing time; 0 where it was not measured
 
     def differences(self, other: Decision) -> list[str]:
         """Names of the fields that differ in any bit; ``plan_us`` is not compared."""
-        names = [
-            "status", "action", "scheduled_us", "fix_sequence", "fixes", "path_index", "nearest_state",
-            "limb_use", "lost", "depth_reached", "transitions",
-        ]  # fmt: skip
-        differing = [name for name in names if getattr(self, name) != getattr(other, name)]
-        for name in ("cost", "distance_m", "along_points", "estimate", "predicted"):
-            mine, theirs = np.float32(getattr(self, name)), np.float32(getattr(other, name))
-            if mine.tobytes() != theirs.tobytes():
+        differing = []
+        for name in (name for name in self.__dataclass_fields__ if name != "plan_us"):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if isinstance(mine, np.ndarray | np.floating):
+                mine, theirs = (np.float32(value).tobytes() for value in (mine, theirs))
+            if mine != theirs:
                 differing.append(name)
         return differing
 

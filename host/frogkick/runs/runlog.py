@@ -86,20 +86,18 @@ class _Group:
             given = getattr(self, name)
             if given is None and column.optional:
                 continue
-            checked[name] = _as_column(self.NAME, name, given, column)
-            self._require_rows(name, checked[name], len(checked["time_s"]))
-            _check_finite(self.NAME, name, checked[name], flags, column.missing_bits)
+            values = _as_column(self.NAME, name, given, column)
+            count = len(checked.get("time_s", values))
+            checked[name] = _checked(self.NAME, name, values, count, flags, column.missing_bits)
         extra: dict[str, Array] = {}
+        missing_bits = FixFlag.MISSING if self.NAME == "fixes" else 0xFFFF
         for name, given in self.extra.items():
             values = np.asarray(given)
             if values.dtype.kind not in "iufb" or values.ndim == 0:
                 raise InputError(f"run: {self.NAME}/{name} holds {values.dtype}: give a column of numbers")
-            self._require_rows(name, values, len(checked["time_s"]))
-            _check_finite(self.NAME, name, values, flags, FixFlag.MISSING if self.NAME == "fixes" else 0xFFFF)
-            extra[name] = _frozen(values)
-        for name, values in checked.items():
-            object.__setattr__(self, name, _frozen(values))
-        object.__setattr__(self, "extra", extra)
+            extra[name] = _checked(self.NAME, name, values, len(checked["time_s"]), flags, missing_bits)
+        for name, fixed in {**checked, "extra": extra}.items():
+            object.__setattr__(self, name, fixed)
         back = np.flatnonzero(np.diff(self.time_s) < 0.0)
         if back.size:
             row = int(back[0]) + 1
@@ -113,12 +111,6 @@ class _Group:
         own = {name: getattr(self, name) for name in self.columns()}
         there = {name: values for name, values in own.items() if values is not None}
         return there | dict(sorted(self.extra.items()))
-
-    def _require_rows(self, name: str, values: Array, count: int) -> None:
-        if len(values) != count:
-            raise InputError(
-                f"run: {self.NAME}/{name} has {len(values)} rows, time_s has {count}: make them equal"
-            )
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -378,10 +370,17 @@ def _as_column(group: str, name: str, given: Any, column: Column) -> Array:
     return values.astype(column.dtype)
 
 
-def _check_finite(group: str, name: str, values: Array, flags: Array | None, missing_bits: int) -> None:
-    if values.dtype.kind != "f":
-        return
-    bad = ~np.isfinite(values).reshape(len(values), math.prod(values.shape[1:])).all(axis=1)
+def _checked(
+    group: str, name: str, values: Array, count: int, flags: Array | None, missing_bits: int
+) -> Array:
+    """A copy of a column of ``count`` rows that cannot be written to."""
+    if len(values) != count:
+        raise InputError(f"run: {group}/{name} has {len(values)} rows, time_s has {count}: make them equal")
+    copy = np.array(values)
+    copy.flags.writeable = False
+    if copy.dtype.kind != "f":
+        return copy
+    bad = ~np.isfinite(copy).reshape(count, math.prod(copy.shape[1:])).all(axis=1)
     if flags is not None and missing_bits:
         bad &= (flags.astype(np.int64) & int(missing_bits)) == 0
     rows = np.flatnonzero(bad)
@@ -390,9 +389,4 @@ def _check_finite(group: str, name: str, values: Array, flags: Array | None, mis
             f"run: {group}/{name} row {rows[0]} is {values[rows[0]]} (not finite) and not flagged "
             "as missing: repair the log or flag the row"
         )
-
-
-def _frozen(values: Array) -> Array:
-    copy = np.array(values)
-    copy.flags.writeable = False
     return copy

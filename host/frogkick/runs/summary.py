@@ -236,15 +236,15 @@ def bends_of(run: RunLog, progress_mps: float) -> Bends | None:
 def summary(run: RunLog) -> Summary:
     """The numbers of a run."""
     time_s, poses, of = track_of(run)
-    distances: tuple[float | None, ...] = (None, None, None)
+    names = ("mean_distance_m", "p95_distance_m", "progress_mps")
+    numbers: dict[str, float | None] = dict.fromkeys((*names, "position_rmse_m", "heading_rmse_rad"))
     if run.path is not None:
         spans = spans_of(run)
         found = along_paths(run.paths, time_s, poses, spans[0][0] if spans else math.inf)
         # A run's own numbers end with the run, and its log has the true poses of some moments more.
-        names = ("mean_distance_m", "p95_distance_m", "progress_mps")
-        distances = tuple(run.measured.get(name, value) for name, value in zip(names, found, strict=True))
-    known = run.decisions.predicted is not None and run.truth is not None
-    error = residual(run).error if known else None
+        numbers |= {name: run.measured.get(name, value) for name, value in zip(names, found, strict=True)}
+    if run.decisions.predicted is not None and run.truth is not None:
+        numbers |= residual(run).error.as_json()
     usable = run.fixes.usable
     answered = run.fixes.extra.get("robot_status")
     lost = ~usable if answered is None else ~usable | (answered != 0)
@@ -259,11 +259,7 @@ def summary(run: RunLog) -> Summary:
         fixes=int(usable.sum()),
         fixes_lost=int(lost.sum()),
         measured_by=of,
-        mean_distance_m=distances[0],
-        p95_distance_m=distances[1],
-        progress_mps=distances[2],
-        position_rmse_m=None if error is None else error.position_rmse_m,
-        heading_rmse_rad=None if error is None else error.heading_rmse_rad,
+        **numbers,
         battery_v=run.measured.get(BATTERY_V),
         period_s=run.period_s,
         clock={name: value for name, value in run.measured.items() if name.startswith(("clock_", "period_"))},

@@ -106,11 +106,6 @@ def picture_files(folder: Path | str) -> list[Path]:
     return names
 
 
-def read_pictures(folder: Path | str) -> list[tuple[str, UInt8]]:
-    """Read a folder's pictures, by name, as grey levels; see ``picture_files`` and ``read_picture``."""
-    return [(file.name, read_picture(file)) for file in picture_files(folder)]
-
-
 def read_picture(path: Path | str) -> UInt8:
     """Read a picture as grey levels.
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from frogkick.core.arguments import typed
@@ -143,12 +144,6 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         raise InputError(f"{source}: {error}") from None
 
 
-def _numbers(value: Any) -> list[float]:
-    if isinstance(value, list | tuple):
-        return [number for part in value for number in _numbers(part)]
-    return [float(value)]
-
-
 def _require_likely(table: Mapping[str, Any], where: str = "") -> None:
     """Raise InputError for a number outside of LIKELY."""
     for key, value in table.items():
@@ -159,12 +154,12 @@ def _require_likely(table: Mapping[str, Any], where: str = "") -> None:
                 _require_likely(row, f"{where}{key}.{row.get('name', index)}.")
         elif key in LIKELY:
             least, most, other = LIKELY[key]
-            sizes = [abs(number) for number in _numbers(value)]
-            if not sizes or least <= max(sizes) <= most:
+            size = float(np.abs(np.ravel(value)).max(initial=0.0))
+            if least <= size <= most:
                 continue
-            limit = f"above {most:g}" if max(sizes) > most else f"below {least:g}"
+            limit = f"above {most:g}" if size > most else f"below {least:g}"
             raise InputError(
-                f"{where}{key} is {max(sizes):g}, {limit}, which no small swimmer has: "
+                f"{where}{key} is {size:g}, {limit}, which no small swimmer has: "
                 f"its unit is in its name, is the number in {other}?"
             )
 

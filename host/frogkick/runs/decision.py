@@ -269,28 +269,21 @@ def warm_up(tables: Tables, path: Path, config: PlanConfig) -> Decision:
     return decision
 
 
+@dataclass(eq=False)
 class LiveCheck:
     """Compares a robot's decisions with the host's bit by bit while the run goes on.
 
     The twin gets the inputs that the robot reports, in its order and on its clock. Once frames from the robot
     may have been lost, the twin's inputs are incomplete. No further decision is compared then.
-
-    Attributes:
-        agreed: decisions that are the same on the host.
-        unchecked: decisions after a possible loss of frames.
     """
 
-    def __init__(self) -> None:
-        """Start without a run."""
-        self.agreed = 0
-        self.unchecked = 0
-        self._twin: DecisionTwin | None = None
-        self._names: list[str] = []
+    agreed: int = 0  # decisions that are the same on the host
+    unchecked: int = 0  # decisions after a possible loss of frames
+    _twin: DecisionTwin | None = None
 
     def begin(self, twin: DecisionTwin) -> None:
         """Start a run of a robot with its twin, which has the robot's wear estimate."""
-        self.agreed = self.unchecked = 0
-        self._twin, self._names = twin, [row.name for row in twin.tables.actions]
+        self.agreed, self.unchecked, self._twin = 0, 0, twin
 
     def compare(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:
         """Apply the events of one frame, and compare its decision if it is one.
@@ -311,10 +304,8 @@ class LiveCheck:
         assert ours is not None
         differing = decision.differences(ours)
         if differing:
-            theirs, mine = (
-                self._names[d.action] if d.action < len(self._names) else "no action"
-                for d in (decision, ours)
-            )
+            names = dict(enumerate(row.name for row in self._twin.tables.actions))
+            theirs, mine = (names.get(made.action, "no action") for made in (decision, ours))
             raise CheckError(
                 f"decision {self.agreed + 1} is {theirs} on the robot and {mine} on the host (different: "
                 f"{', '.join(differing)}), where every bit must be the same: the run is ended; send "

@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from frogkick.core.arrays import Float32, Float64, UInt8
+from frogkick.core.arrays import AnyArray, Float32, Float64, UInt8
 from frogkick.core.errors import InputError, require
 
 STANDARD = "tagStandard41h12"
@@ -125,6 +125,6 @@ def find_standard(image: UInt8, tag_id: int) -> list[Float64]:
     ]
 
 
-def picture_order(corners_px: Float64) -> Float64:
-    """OpenCV's corners (4, 2) as top left, top right, bottom right, bottom left of the picture."""
-    return np.roll(corners_px, OPENCV_HALF_TURN, axis=0)
+def picture_order(corners_px: AnyArray) -> Float64:
+    """OpenCV's four corners as (4, 2) top left, top right, bottom right, bottom left of the picture."""
+    return np.roll(np.asarray(corners_px, dtype=np.float64).reshape(4, 2), OPENCV_HALF_TURN, axis=0)

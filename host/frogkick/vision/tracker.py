@@ -13,7 +13,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from frogkick.core.arrays import AnyArray, Float64, Int64, UInt8
+from frogkick.core.arrays import Float64, Int64, UInt8
 from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.pose import Pose, solve_pose, tag_place
@@ -194,14 +194,9 @@ def find_corners(
     settings.errorCorrectionRate = 1.0
     corners, ids, rejected = cv2.aruco.ArucoDetector(dictionary(), settings).detectMarkers(image)
     numbers = [] if ids is None else ids.ravel().tolist()
-    ours = [_quad(quad) for quad, number in zip(corners, numbers, strict=True) if number == tag_id]
-    squares = [_quad(quad) for quad in rejected]
+    ours = [picture_order(quad) for quad, number in zip(corners, numbers, strict=True) if number == tag_id]
+    squares = [picture_order(quad) for quad in rejected]
     return _places(ours, scale, side_px), _places(squares, scale, side_px)
-
-
-def _quad(corners: AnyArray) -> Float64:
-    """OpenCV's corners in the printed picture's order."""
-    return picture_order(np.asarray(corners).reshape(4, 2).astype(np.float64))
 
 
 def _places(quads: Sequence[Float64], scale: int, side_px: float) -> list[Float64]:

@@ -22,14 +22,14 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import metadata, resources
 from types import FrameType
 from typing import Any, Generic, TypeVar
 
 from frogkick.core.errors import FrogkickError, InputError, require
-from frogkick.core.interrupts import STOPS, ctrl_c_waits
+from frogkick.core.interrupts import STOPS, ctrl_c_waits, handled_by
 
 Ready = TypeVar("Ready")
 Task = TypeVar("Task")
@@ -106,17 +106,9 @@ def _interrupts() -> Iterator[Callable[[], None]]:
         if seen:
             raise KeyboardInterrupt
 
-    if (
-        threading.current_thread() is not threading.main_thread()
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    ):
+    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with handled_by(note, signal.SIGINT) if ours else nullcontext():
         yield check
-        return
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # Set in each worker process by _start_worker, so that a task carries its own numbers only.

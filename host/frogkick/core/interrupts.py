@@ -64,7 +64,8 @@ def _as_ctrl_c(_number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def _handling(handler: Any, *numbers: int) -> Iterator[None]:
+def handled_by(handler: Any, *numbers: int) -> Iterator[None]:
+    """Let another handler have some signals in the context; no effect in other threads than the main one."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -78,12 +79,12 @@ def _handling(handler: Any, *numbers: int) -> Iterator[None]:
 
 def stops_are_interrupts() -> AbstractContextManager[None]:
     """Let STOPS, also ignored ones, interrupt like Ctrl-C in the context, so that a robot is disarmed."""
-    return _handling(_as_ctrl_c, *STOPS)
+    return handled_by(_as_ctrl_c, *STOPS)
 
 
 def uninterrupted() -> AbstractContextManager[None]:
     """Ignore Ctrl-C and STOPS meanwhile."""
-    return _handling(signal.SIG_IGN, signal.SIGINT, *STOPS)
+    return handled_by(signal.SIG_IGN, signal.SIGINT, *STOPS)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from tests.runs import rig
 
 import frogkick as fk
 from frogkick.core.files import sole_writer
-from frogkick.front.viewing import RunProgress
+from frogkick.front.viewing import run_progress
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, STOPPED, TIME
@@ -28,20 +28,20 @@ def test_progress_comes_with_the_plan_its_cost_and_the_distance() -> None:
     check = LiveCheck()
     growing = rig.recording(shape("line"), RunOptions(PlanConfig()))
     alone, checked = (
-        RunProgress(lambda done, whole, note="": said.append((done, whole, note)), one)
+        run_progress(lambda done, whole, note="": said.append((done, whole, note)), one)
         for one in (growing, dataclasses.replace(growing, options=RunOptions(PlanConfig(), check=check)))
     )
-    alone.progress(0.0, 4)
+    alone(0.0, 4)
     recording = rig.swim("pool", "line", 3.0)
     made = dataclasses.replace(
         recording.decisions[-1], status=0, action=1, cost=np.float32(12.34), distance_m=np.float32(0.0066)
     )
     growing.decisions.append(made)
-    alone.progress(1.0, 9)
+    alone(1.0, 9)
     check.agreed = 2
-    checked.progress(1.0, 9)
+    checked(1.0, 9)
     growing.decisions.append(dataclasses.replace(made, status=-1))
-    alone.progress(2.0, 9)
+    alone(2.0, 9)
     assert said == [
         (5, 100, ""),
         (10, 100, "B cost 12.3, 7 mm off"),

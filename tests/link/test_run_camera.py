@@ -24,6 +24,7 @@ from tests.runs import rig
 from tests.vision.scenes import calibration, scene
 
 from frogkick.core.errors import InputError
+from frogkick.effects import World
 from frogkick.front import bench
 from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
@@ -122,10 +123,11 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
     monkeypatch.setattr(bench.Bench, "opened", opened)
     for drawn, compiled in ((False, []), (True, ["planner", "what a page draws"])):
         done.clear()
-        lab = bench.Bench("serial:frog", "camera.toml", battery_v=12.0, drawn=drawn)
+        lab = bench.Bench("serial:frog", "camera.toml", battery_v=12.0, view=drawn)
         with pytest.raises(InputError, match="no camera"):
             bench.run_on_bench(
                 lab,
+                World(),
                 rig.small_table(),
                 rig.recording(shape("line"), RunOptions(PlanConfig(depth=1))),
                 print,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -18,7 +17,7 @@ from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.mission import require_room
 from frogkick.front.places import built_firmware, start_pose
-from frogkick.front.viewing import SLOW_S, viewed
+from frogkick.front.viewing import noted_if_slow, viewed
 from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import FORMS, Wire, is_target, opened, parse_target, require_wire
@@ -67,66 +66,6 @@ def why_unfinished(run: RunLog) -> str:
     if run.notes != ENDED["STALE"]:
         return UNFINISHED.get(run.notes, "")
     return refused_fixes(run) or ("" if len(run.fixes) else "no position fix came; ") + UNFINISHED[run.notes]
-
-
-def require_video(video: bool, fixes: str | None, out: Path | None) -> None:
-    """Raise InputError for a video without a camera, or without a log next to which it is written."""
-    if video and (fixes is None or fixes in (STDIN, POOL)):
-        raise InputError(
-            "--video records a camera's pictures, but this run has no camera: give --fixes camera.toml"
-        )
-    if video and out is None:
-        raise InputError("--video is written next to the log: give --out run.h5")
-
-
-def require_bench(
-    robot: str,
-    dialect: str,
-    fixes: str | None,
-    world: str | None,
-    battery_v: float | None = None,
-    begin: str | None = None,
-    key: str | None = None,
-    source: str = "0",
-) -> None:
-    """Raise InputError for options that do not fit a real robot, or a simulated one."""
-    require_dialect(dialect)
-    if not is_target(robot):
-        for name, value in (
-            ("--fixes", fixes),
-            ("--dialect", None if dialect == "frogkick" else dialect),
-            ("--battery-v", battery_v),
-            ("--begin", begin),
-            ("--key", key),
-            ("--source", None if source == "0" else source),
-        ):
-            if value is not None:
-                raise InputError(
-                    f"{name} {value} is for a real robot, but --robot is {robot!r}: leave it out, or give "
-                    f"--robot {' or '.join(FORMS)}"
-                )
-        return
-    require_wire(parse_target(robot))
-    if key is not None:
-        read_key(Path(key))
-    if world is not None and fixes != POOL:
-        raise InputError(f"--world {world!r} is for a simulated pool, but --robot is {robot!r}: leave it out")
-    if fixes is None:
-        raise InputError(
-            f"--robot {robot} needs position fixes, and none are given: pipe them in from a tracker, "
-            "as lines 'x_m y_m heading_rad [age_s]', with --fixes stdin, or give the calibration of the "
-            "camera over the pool, as --fixes camera.toml; for a kit without limbs --fixes pool"
-        )
-    if fixes not in (STDIN, POOL) and not fixes.endswith(".toml"):
-        raise InputError(
-            f"--fixes is {fixes!r}{nearest_name(fixes, (STDIN, POOL))}: choose stdin, pool, or the file of "
-            "'frogkick camera calibrate' (.toml)"
-        )
-    if fixes == POOL and (begin is not None or battery_v is not None):
-        name = "--battery-v" if begin is None else "--begin"
-        raise InputError(
-            f"{name} is for a robot in water, but --fixes pool is for a kit without limbs: leave it out"
-        )
 
 
 def placed(
@@ -203,50 +142,88 @@ def no_operator(_stdin_is_taken: bool) -> AbstractContextManager[Operator]:
 
 @dataclass(frozen=True)
 class Bench:
-    """A real robot, the source of its position fixes, and what its operator has measured.
+    """The options of ``run`` for a real robot, by its names. A simulated one has none of them.
 
-    Attributes:
-        name: its address, ``ble:NAME`` or ``serial:PORT``.
-        fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
-        source: camera number, network camera's address, video file or folder of pictures.
-        begin: pose at which the path shall begin, ``X,Y,DEG`` (m, degrees) or ``here`` (the robot's pose);
-            None: the path stays where it is.
-        rate_hz, world, seed: of a simulated pool: fixes per second, its true effects, its camera's noise.
-        dialect: its protocol.
-        battery_v: voltage of its lowest battery, measured with a meter; None: not measured.
-        out: the log, which is written during the run; None: none is written.
-        film: whether the camera's pictures are recorded next to it.
-        operator: the person who is asked before arming and may stop the run.
-        wire: an open link to the robot; None: a link is opened, and closed after the run.
-        key: file of its owner's key; None: the user's own.
-        drawn: whether a page shows the run and the planner's predictions.
-        stop: called by the page's button.
+    Raises:
+        InputError: an option that does not fit the robot, or is missing.
     """
 
-    name: str
-    fixes: str
+    robot: str
+    fixes: str | None = None
     source: str = "0"
     begin: str | None = None
-    rate_hz: float = 15.0
-    world: World = World()  # noqa: RUF009 - frozen
+    fix_rate_hz: float = 15.0
     seed: int = 0
+    world: World | Path | str | None = None
     dialect: str = "frogkick"
     battery_v: float | None = None
     out: Path | None = None
-    film: bool = False
+    video: bool = False
     operator: Operators = no_operator
     wire: Wire | None = None
-    key: Path | None = None
-    drawn: bool = False
-    stop: Callable[[], None] | None = None
+    key: Path | str | None = None
+    view: bool = False
+    stop: Callable[[], None] | None = None  # called by the page's button
 
     def __post_init__(self) -> None:
-        if self.begin not in (None, "here"):
-            parse_begin(str(self.begin))
+        robot, fixes = self.robot, self.fixes
+        require_dialect(self.dialect)
+        if not is_target(robot):
+            for name, value in (
+                ("--fixes", fixes),
+                ("--dialect", None if self.dialect == "frogkick" else self.dialect),
+                ("--battery-v", self.battery_v),
+                ("--begin", self.begin),
+                ("--key", self.key),
+                ("--source", None if self.source == "0" else self.source),
+            ):
+                if value is not None:
+                    raise InputError(
+                        f"{name} {value} is for a real robot, but --robot is {robot!r}: leave it out, or "
+                        f"give --robot {' or '.join(FORMS)}"
+                    )
+        else:
+            self._require_complete()
+        if self.video and fixes in (None, STDIN, POOL):
+            raise InputError(
+                "--video records a camera's pictures, but this run has no camera: give --fixes camera.toml"
+            )
+        if self.video and self.out is None:
+            raise InputError("--video is written next to the log: give --out run.h5")
+
+    def _require_complete(self) -> None:
+        """Raise InputError for options that are missing or do not fit a real robot."""
+        robot, fixes, begin = self.robot, self.fixes, self.begin
+        require_wire(parse_target(robot))
+        if self.key is not None:
+            read_key(Path(self.key))
+        if self.world is not None and fixes != POOL:
+            world = "given" if isinstance(self.world, World) else str(self.world)
+            raise InputError(
+                f"--world {world!r} is for a simulated pool, but --robot is {robot!r}: leave it out"
+            )
+        if fixes is None:
+            raise InputError(
+                f"--robot {robot} needs position fixes, and none are given: pipe them in from a tracker, "
+                "as lines 'x_m y_m heading_rad [age_s]', with --fixes stdin, or give the calibration of the "
+                "camera over the pool, as --fixes camera.toml; for a kit without limbs --fixes pool"
+            )
+        if fixes not in (STDIN, POOL) and not fixes.endswith(".toml"):
+            raise InputError(
+                f"--fixes is {fixes!r}{nearest_name(fixes, (STDIN, POOL))}: choose stdin, pool, or the file "
+                "of 'frogkick camera calibrate' (.toml)"
+            )
+        if fixes == POOL and (begin is not None or self.battery_v is not None):
+            name = "--battery-v" if begin is None else "--begin"
+            raise InputError(
+                f"{name} is for a robot in water, but --fixes pool is for a kit without limbs: leave it out"
+            )
+        if begin not in (None, "here"):
+            parse_begin(str(begin))
 
     @contextmanager
     def opened(
-        self, robot: Robot, tables: Tables, path: SwimPath
+        self, robot: Robot, tables: Tables, path: SwimPath, world: World
     ) -> Iterator[tuple[LineFixes | CameraFixes | PoolFixes, tuple[float, float] | None]]:
         """Yield the running source, and the pool's length and width if they are known.
 
@@ -257,9 +234,9 @@ class Bench:
             return
         if self.fixes == POOL:
             rng = noise_of_run(self.seed, path.name, len(path))
-            yield PoolFixes(robot, tables, start_pose(path), rng, self.rate_hz, self.world), None
+            yield PoolFixes(robot, tables, start_pose(path), rng, self.fix_rate_hz, world), None
             return
-        calibration = read_calibration(Path(self.fixes))
+        calibration = read_calibration(Path(str(self.fixes)))
         name = f"camera {self.source}" if self.source.isdigit() else self.source
         frames = open_source(self.source, calibration.image_px)
         camera = CameraFixes(frames, calibration, name)
@@ -271,19 +248,14 @@ class Bench:
 
 def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: bool) -> None:
     """Compile the host's planner before the robot is armed; later it would delay fixes for minutes."""
-    slow = threading.Timer(SLOW_S, tell_line, ["compiling the host's planner (once; a minute or two)"])
-    slow.daemon = True
-    slow.start()
-    try:
+    with noted_if_slow(lambda: tell_line("compiling the host's planner (once; a minute or two)")):
         decision = warm_up(tables, path, config)
         if drawn and decision.status == 0:
             tree_of(tables, path, config, decision)
-    finally:
-        slow.cancel()
 
 
 def run_on_bench(
-    bench: Bench, image: Path, recording: Recording, progress: Callable[[float, int], None]
+    bench: Bench, world: World, image: Path, recording: Recording, progress: Callable[[float, int], None]
 ) -> None:
     """Run a real robot. The robot is disarmed however the run ends.
 
@@ -291,20 +263,21 @@ def run_on_bench(
 
     Args:
         bench: the robot and its surroundings.
+        world: the true effects of a simulated pool.
         image: table image of the recording's tables.
         recording: says what to follow; its paths are placed, and the run is recorded in it.
         progress: see ``run_session``.
     """
     robot, tables = recording.robot, recording.tables
     path, options = recording.path, recording.options
-    target = parse_target(bench.name)
+    key = None if bench.key is None else Path(bench.key)
     battery = "battery: none, a kit" if bench.fixes == POOL else check_battery(robot, bench.battery_v)
     greeting = DELIMITER if bench.dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
-        if bench.drawn or options.check is not None or not options.onboard:
-            _compile_planner(tables, path, options.config, bench.drawn)
-        fixes, pool_m = stack.enter_context(bench.opened(robot, tables, path))
+        if bench.view or options.check is not None or not options.onboard:
+            _compile_planner(tables, path, options.config, bench.view)
+        fixes, pool_m = stack.enter_context(bench.opened(robot, tables, path, world))
         camera = fixes if isinstance(fixes, CameraFixes) else None
         fixes.wait_first(FIRST_FIX_S)
         seen = look(fixes, time.monotonic, time.sleep)
@@ -317,8 +290,8 @@ def run_on_bench(
             require_room(path, options.hold_m, options.config)
             later += [hold_at_end(one, options.hold_m).entry for one in (path, *later)]
         checked = check_start(seen, path, pool_m, later)
-        wire = bench.wire or stack.enter_context(opened(target, greeting))
-        session = stack.enter_context(session_with(wire, bench.dialect, image, robot, bench.key))
+        wire = bench.wire or stack.enter_context(opened(parse_target(bench.robot), greeting))
+        session = stack.enter_context(session_with(wire, bench.dialect, image, robot, key))
         session.handshake(tables)
 
         def tell(line: str) -> None:
@@ -327,7 +300,7 @@ def run_on_bench(
         for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
             tell(line)
         session.rest(tell)
-        if bench.out is not None and bench.film and camera is not None:
+        if bench.out is not None and bench.video and camera is not None:
             video = Video(bench.out, time.monotonic() - session.port.now_s)
             stack.callback(video.close)
             stack.callback(camera.close)  # before the video: its thread writes there
@@ -335,7 +308,7 @@ def run_on_bench(
         recording.path, recording.options = path, options
         recording.made = made_of(robot, tables, time.time() - session.port.now_s)
         write = stack.enter_context(logged(bench.out, recording))
-        draw = stack.enter_context(viewed(bench.drawn, recording, camera, bench.stop))
+        draw = stack.enter_context(viewed(bench.view, recording, camera, bench.stop))
 
         def keep(grown: Recording) -> None:
             write(grown)

@@ -18,22 +18,9 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, save_result, sole_writer
 from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, read_world
-from frogkick.front.bench import (
-    Bench,
-    Operators,
-    no_operator,
-    require_bench,
-    require_video,
-    run_on_bench,
-)
+from frogkick.front.bench import Bench, Operators, no_operator, run_on_bench
 from frogkick.front.logs import Run
-from frogkick.front.mission import (
-    Then,
-    hold_radius_m,
-    next_paths,
-    require_room,
-    with_walls,
-)
+from frogkick.front.mission import Then, hold_radius_m, next_paths, require_room, with_walls
 from frogkick.front.places import (
     plan_config,
     require_plan,
@@ -43,7 +30,7 @@ from frogkick.front.places import (
     swim_path,
 )
 from frogkick.front.tables import Table, load_table
-from frogkick.front.viewing import RunProgress, keeps_partial_log, viewed
+from frogkick.front.viewing import keeps_partial_log, noted_if_slow, run_progress, viewed
 from frogkick.link.wire import Wire, is_target
 from frogkick.paths import Path as SwimPath
 from frogkick.pool.pool import Camera as SimulatedCamera
@@ -131,10 +118,13 @@ def run(
         LinkError: the robot refuses or does not answer.
         CheckError: robot and host decided differently (``plan="both"``).
     """
-    named = str(world) if isinstance(world, Path | str) else None if world is None else "given"
-    require_bench(robot, dialect, fixes, named, battery_v, begin, None if key is None else str(key), source)
     target = None if out is None else Path(out)
-    require_video(video, fixes, target)
+    stopped = threading.Event()  # by the button of the page
+    bench = Bench(
+        robot=robot, fixes=fixes, source=source, begin=begin, fix_rate_hz=fix_rate_hz, seed=seed, world=world,
+        dialect=dialect, battery_v=battery_v, out=target, video=video, operator=operator, wire=wire, key=key,
+        view=view, stop=stopped.set,
+    )  # fmt: skip
     is_real = is_target(robot)
     if not is_real:
         require_simulator(robot)
@@ -149,7 +139,6 @@ def run(
     # An effect may keep state.
     true = World() if world is None else copy.deepcopy(read_world(world, described))
     check = LiveCheck() if plan == "both" else None
-    stopped = threading.Event()  # by the button of the page
     config = with_walls(plan_config(described, planner, depth), inside, used, fixes)
     following = next_paths(then, time_limit_s)
     hold_m = hold_radius_m(used.tables, described.id) if hold else None
@@ -165,17 +154,13 @@ def run(
         image = stack.enter_context(used.file())
         tell = stack.enter_context(shown(progress, desired.name))
         recording = Recording(described, used.tables, desired, options, name, known=known)
-        said = RunProgress(tell, recording)
+        said = run_progress(tell, recording)
         if is_real:
-            bench = Bench(
-                name=robot, fixes=str(fixes), source=source, begin=begin, rate_hz=fix_rate_hz, world=true,
-                seed=seed, dialect=dialect, battery_v=battery_v, out=target, film=video, operator=operator,
-                wire=wire, key=None if key is None else Path(key), drawn=view, stop=stopped.set,
-            )  # fmt: skip
             with keeps_partial_log(target, recording):
-                run_on_bench(bench, image, recording, said.progress)
+                run_on_bench(bench, true, image, recording, said)
         else:
-            with said.preparing():
+            what = "preparing the simulation and the robot's core (compiled on first use)"
+            with noted_if_slow(lambda: tell(0, len(desired), what)):
                 port = stack.enter_context(
                     simulated_robot(robot, image, described, lambda: compile_rods(described))
                 )
@@ -185,7 +170,7 @@ def run(
             recording.pool = Pool(described, start_pose(desired), eye, rng, true)
             draw = stack.enter_context(viewed(view, recording, stop=stopped.set))
             with keeps_partial_log(target, recording):
-                run_session(Session(port), recording.pool, recording, said.progress, draw)
+                run_session(Session(port), recording.pool, recording, said, draw)
     found = Run(**vars(recording.log()), checked={} if check is None else check.as_json())
     if target is not None:
         save_result(found.save, target)

@@ -181,43 +181,40 @@ def tight_path_advice(log: RunLog, tracked: Tracking) -> str:
     )
 
 
-class RunProgress:
-    """Shows progress along the path, the action, the cost of its plan, and the distance to the path."""
+@contextmanager
+def noted_if_slow(note: Callable[[], None]) -> Iterator[None]:
+    """Call ``note`` if what is done in the context takes long."""
+    slow = threading.Timer(SLOW_S, note)
+    slow.daemon = True
+    slow.start()
+    try:
+        yield
+    finally:
+        slow.cancel()
 
-    def __init__(self, tell: Tell, recording: Recording) -> None:
-        """Show it with ``tell``, of a run that is to begin."""
-        self._tell, self._recording, self._points = tell, recording, len(recording.path)
 
-    @contextmanager
-    def preparing(self) -> Iterator[None]:
-        """Show a note while the simulation and the core are compiled, which takes long and is done once."""
-        what = "preparing the simulation and the robot's core (compiled on first use)"
-        slow = threading.Timer(SLOW_S, lambda: self._tell(0, self._points, what))
-        slow.daemon = True
-        slow.start()
-        try:
-            yield
-        finally:
-            slow.cancel()
+def run_progress(tell: Tell, recording: Recording) -> Callable[[float, int], None]:
+    """Return what tells progress along the path after a decision: its action, cost and distance as well."""
 
-    def progress(self, _time_s: float, index: int) -> None:
-        """Show the state after a decision at the nearest path point."""
-        recording, check = self._recording, self._recording.options.check
-        if recording.then:
-            self._points = len(recording.then[-1].path)
+    def progress(_time_s: float, index: int) -> None:
+        check = recording.options.check
+        path = recording.then[-1].path if recording.then else recording.path
         limbs = [limb.name for limb in recording.robot.limbs]
         lost = lost_text(recording.decisions[-1].lost, limbs) if recording.decisions else ""
-        notes = [self._plan(), lost, "" if check is None else check.text]
-        self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
+        notes = [_newest_plan(recording), lost, "" if check is None else check.text]
+        tell(index + 1, len(path), ", ".join(note for note in notes if note))
 
-    def _plan(self) -> str:
-        if not self._recording.decisions:
-            return ""
-        newest, actions = self._recording.decisions[-1], self._recording.tables.actions
-        if newest.status != 0 or newest.action >= len(actions):
-            return "no plan"
-        name = actions[newest.action].name
-        return f"{name} cost {float(newest.cost):.1f}, {1e3 * float(newest.distance_m):.0f} mm off"
+    return progress
+
+
+def _newest_plan(recording: Recording) -> str:
+    if not recording.decisions:
+        return ""
+    newest, actions = recording.decisions[-1], recording.tables.actions
+    if newest.status != 0 or newest.action >= len(actions):
+        return "no plan"
+    cost, off_mm = float(newest.cost), 1e3 * float(newest.distance_m)
+    return f"{actions[newest.action].name} cost {cost:.1f}, {off_mm:.0f} mm off"
 
 
 @contextmanager

@@ -217,7 +217,7 @@ def draw_wear(robot: Robot, seed: int) -> dict[str, Any]:
     return {"name": "limb_wear", "limb": limb, "gain": round(float(rng.uniform(0.6, 0.8)), 3)}
 
 
-def adapt(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT) -> None:
+def adapt(ring: Ring, out: Path, seed: int, bar: Stage) -> None:
     """Wear a limb, identify the wear from logs, make a new table and firmware, and follow the paths again.
 
     In between, the paths are followed with the old table while the robot estimates the wear of its limbs.
@@ -228,7 +228,6 @@ def adapt(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         out: the same folder, for logs (``worn-PATH.h5``), ``found.toml`` and, if an effect is found, ``new/``
             with library, table and firmware.
         seed: seed of the wear, the library and the camera's noise.
-        held_out: path of the test run.
     """
     lap = _stage_clock(ring.stage_s)
     robot, tables, options = ring.robot, ring.tables, ring.options
@@ -250,7 +249,7 @@ def adapt(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
             ).log()
 
     logs, old = [], []
-    for name in (*paths, held_out):
+    for name in (*paths, HELD_OUT):
         run = follow(ring.built.image, tables, name, "swim with a worn limb")
         logs.append(out / f"worn-{name}.h5")
         write_run(logs[-1], dataclasses.replace(run, truth=None))

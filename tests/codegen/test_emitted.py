@@ -41,7 +41,7 @@ def emitted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     work = tmp_path_factory.mktemp("emitted")
     image = made_up.image(request.param)
     (work / "t.fkt").write_bytes(image)
-    figures = measure_emitted(work / "t.fkt", states=STATES)
+    figures = measure_emitted((work / "t.fkt").read_bytes(), states=STATES)
     emit(image, work / "planner", COMMAND, figures=figures)
     return Emitted(image, work / "planner", figures)
 
@@ -163,7 +163,7 @@ def test_the_readme_tells_the_times_that_were_counted(emitted: Emitted) -> None:
 @from_ci
 def test_the_same_table_gives_the_same_figures(emitted: Emitted, tmp_path: Path) -> None:
     (tmp_path / "other.fkt").write_bytes(emitted.image)
-    assert measure_emitted(tmp_path / "other.fkt", states=STATES) == emitted.figures
+    assert measure_emitted((tmp_path / "other.fkt").read_bytes(), states=STATES) == emitted.figures
 
 
 def test_without_figures_the_directory_says_so(tmp_path: Path) -> None:

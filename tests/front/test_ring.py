@@ -65,7 +65,7 @@ def test_a_ring_that_tells_too_little_says_so(
     round_once: tuple[Ring, Path, list[str]], tmp_path: Path
 ) -> None:
     ring = replace(round_once[0], options=replace(round_once[0].options, time_limit_s=4.0))
-    adapt(ring, tmp_path, 3, progress_bar, held_out="bends")  # far too few periods to learn from
+    adapt(ring, tmp_path, 3, progress_bar)  # far too few periods to learn from
     adaptation = ring.adaptation
     assert adaptation is not None and adaptation.outcome.verdict == "not enough data" and not adaptation.new
     reported = adaptation.as_json()
@@ -98,7 +98,7 @@ def test_the_ring_closes(
     monkeypatch.setattr(segments_module, "PERIODS_LEAST", count(20, 20, 16))
     monkeypatch.setattr(closing_module, "identify", watched)
     ring = replace(round_once[0])
-    adapt(ring, tmp_path, 3, progress_bar, held_out="bends")
+    adapt(ring, tmp_path, 3, progress_bar)
     adaptation = ring.adaptation
     assert adaptation is not None and adaptation.true_effect == true_effect
     assert [swim.name for swim in given[0]] == ["worn-line.h5", "worn-sine.h5"]

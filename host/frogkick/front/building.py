@@ -24,7 +24,7 @@ from frogkick.front.tables import Table, load_table
 from frogkick.paths import SHAPES, shape
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import Robot, load_robot
-from frogkick.tables.image import read_image
+from frogkick.tables.image import Tables, open_image, read_image
 from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, emit
 from frogkick_codegen.firmware import CHIPS, Firmware, build, require_tools
 from frogkick_codegen.probe import check_image, flash
@@ -105,18 +105,15 @@ def emit_c(
             f"frogkick: the planner gets the weights of the paper and depth 1, not its robot's: {error}"
         )
     if measure:
-        with tempfile.TemporaryDirectory(prefix="frogkick-table-") as folder:
-            file = Path(folder) / name
-            file.write_bytes(image)
-            with shown(progress, "measuring") as tell:
-                figures = measure_emitted(file, config, progress=tell)
+        with shown(progress, "measuring") as tell:
+            figures = measure_emitted(image, config, progress=tell)
     named = "" if robot is None or isinstance(robot, Robot) else f" --robot {Path(robot).name}"
     command = f"frogkick codegen {name}{named} --out {Path(out).name}"
     return emit(image, out, command, config, robot_sha256, figures)
 
 
 def measure_emitted(
-    image: Path,
+    image: bytes,
     config: PlanConfig | None = None,
     states: Mapping[int, int] = STATES,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
@@ -137,7 +134,7 @@ def measure_emitted(
         emit(image, work / "emitted", "frogkick codegen", settings)
         elf = build_planner(work / "emitted", work / "planner.elf")
         planner = ChipPlanner(elf)
-        times = _times(planner, image, settings, states, progress)
+        times = _times(planner, open_image(image), settings, states, progress)
         stack = StackAnalysis(elf)
         types = Layouts(elf)
         content = load_image(elf)
@@ -158,7 +155,7 @@ def measure_emitted(
 
 def _times(
     planner: ChipPlanner,
-    image: Path,
+    tables: Tables,
     config: PlanConfig,
     states: Mapping[int, int],
     progress: Callable[[int, int], None],
@@ -167,7 +164,7 @@ def _times(
     from frogkick.runs.chip_check import CYCLES_PER_MS, states_for_timing
 
     shares = {depth: -(-states[depth] // len(SHAPES)) for depth in sorted(states, reverse=True)}
-    tables, found, done = read_image(image), {}, 0
+    found, done = {}, 0
     for depth, share in shares.items():
         cycles = []
         for index, name in enumerate(SHAPES):

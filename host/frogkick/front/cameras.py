@@ -123,10 +123,7 @@ def calibrate_camera(
     tag = replace(tag, refraction_offset_m=refraction_offset_m(tag.height_m))
     lens, lens_rms_px = None, float("nan")
     if pictures is not None:
-        if board is None:
-            raise InputError(
-                "--pictures shows a board: give its kind with --board chessboard or --board charuco"
-            )
+        board = _required(board, "--pictures")
         found = [(file.name, read_picture(file)) for file in picture_files(pictures)]
         lens, lens_rms_px = calibrate_lens(board, found)
         seen = (found[0][1].shape[1], found[0][1].shape[0])
@@ -137,11 +134,7 @@ def calibrate_camera(
             )
         image_px = seen
     if plane_picture is not None:
-        if board is None:
-            raise InputError(
-                "--plane-picture shows a board: give its kind with --board chessboard or --board charuco"
-            )
-        laid = read_picture(plane_picture)
+        board, laid = _required(board, "--plane-picture"), read_picture(plane_picture)
         made = calibrate_plane(board, laid, board_at_m, pool_m, tag, height_m, camera_height_m, lens)
         return Calibrated(made, lens_rms_px)
     assert corners is not None
@@ -149,6 +142,12 @@ def calibrate_camera(
         raise InputError("the corners are pixels of a picture: give its size, such as --image 640x480")
     made = calibrate_corners(read_corners(corners), pool_m, image_px, tag, height_m, camera_height_m, lens)
     return Calibrated(made, lens_rms_px)
+
+
+def _required(board: Board | None, option: str) -> Board:
+    if board is None:
+        raise InputError(f"{option} shows a board: give its kind with --board chessboard or --board charuco")
+    return board
 
 
 @dataclass(frozen=True)

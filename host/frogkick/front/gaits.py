@@ -15,7 +15,7 @@ from typing import Any
 from frogkick.core.arguments import typed
 from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import Progress, shown
-from frogkick.front.html import page_of
+from frogkick.report.style import page_of
 from frogkick.robot import Robot, load_robot
 from frogkick.validation.matched import Matched, matched_without
 from frogkick.validation.sweep import (

@@ -16,13 +16,13 @@ from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import in_stages, progress_bar
-from frogkick.front.html import page_of
 from frogkick.front.logs import Run, run_of
 from frogkick.identification.horizons import Horizon
 from frogkick.identification.outcome import Outcome, found_toml, robot_of_runs, write_predictions
 from frogkick.identification.outcome import identify as find
 from frogkick.identification.segments import Segments, segments_of
 from frogkick.identification.terms import FoundEffect, Interval
+from frogkick.report.style import page_of
 from frogkick.robot import Robot, load_robot, parse_robot
 
 if TYPE_CHECKING:

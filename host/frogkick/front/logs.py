@@ -12,7 +12,7 @@ from frogkick.core.arguments import typed
 from frogkick.core.errors import EXTRAS, InputError, require
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown
-from frogkick.front.html import page_of
+from frogkick.report.style import page_of
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.recorded.importer import import_recorded
 from frogkick.runs.recorded.importer import load_run as load_log
@@ -156,13 +156,8 @@ class Run(RunLog):
 def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = False) -> list[dict[str, Any]]:
     """Write recorded runs of the paper as logs. Faults are repaired or marked; no data is invented.
 
-    Args:
-        data_dir: folder of runs and paths, such as ``line1.csv`` and ``linep1.csv``, or one with ``control``.
-        out: folder for the logs.
-        progress: of the runs: True for a bar, or a function of (done, all).
-
-    Returns:
-        A row of numbers for each run, with ``file``; for a run without a path ``run`` and ``skipped``.
+    The arguments are those of the command ``import``. Returned is a row of numbers for each run, with
+    ``file``; for a run without a path ``run`` and ``skipped``.
     """
     require_writable(Path(out), folder=True)
     with shown(progress, "import") as tell:

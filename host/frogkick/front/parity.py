@@ -11,6 +11,7 @@ from typing import Any
 from frogkick.core.progress import Progress, shown
 from frogkick.front.places import plan_config
 from frogkick.front.tables import Table, load_table
+from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
@@ -18,7 +19,7 @@ from frogkick.tables.image import Tables
 from frogkick_codegen.firmware import build, require_tools
 from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
-from frogkick_codegen.toolchain import Compiler, other, zig
+from frogkick_codegen.toolchain import other, zig
 
 LOOP_DECISIONS = 200
 
@@ -81,72 +82,55 @@ def compare_places(
 ) -> Parity:
     """Make the same decisions in every place and count differing bits.
 
-    Single decisions start from states of every kind, at depth 1 to 4. A closed loop follows, from fixes to
-    decisions. The places are Python, native C by zig's clang ("native"), native C by gcc if this machine has
-    it, and the virtual chip.
-
-    Args:
-        table: the table or its file; None: the robot's default table.
-        robot: the robot, its name or its TOML file; None: the table's own.
-        states: number of states for Python and native C, 10 or more.
-        chip_states: number of these states for the virtual chip; None: all.
-        loop_decisions: number of decisions of the closed loop; 0: no loop.
-        planner: planner whose weights and depth are used: "robot" or "paper".
-        depth: depth of the loop, 1 to 4; None: the planner's own.
-        seed: seed of the states and the loop.
-        progress: of the virtual chip: True for a bar, or a function of (done, all).
+    Single decisions start from states of every kind, at depth 1 to 4; the chip makes the first
+    ``chip_states`` of them. A closed loop follows, from fixes to decisions. The places are Python, native C
+    by zig's clang ("native"), native C by gcc if this machine has it, and the virtual chip. The arguments are
+    the options of the command ``parity``.
     """
     require_tools("bench")
     used = load_table(table, robot)
     config = plan_config(used.robot, planner, depth)
     compilers = {"native": zig("host"), **({"gcc": gcc} if (gcc := other("gcc")) else {})}
     on_chip = states if chip_states is None else min(chip_states, states)
+    tables, path = used.tables, shape("sine")
+    cases = make_cases(tables, path, states, seed)
+    loops: dict[str, int] = {}
+    places: dict[str, Place] = {"python": python_place(tables, path, config)}
+    for name, compiler in compilers.items():
+        places[name] = native_place(NativeLibrary(compiler=compiler), tables, path, config)
     with used.file() as image, tempfile.TemporaryDirectory(prefix="frogkick-parity-") as folder:
         bench = build("bench", image, used.robot, Path(folder) / "bench").image
         with shown(progress, "virtual chip") as tell:
-            pairs = _single(used.tables, config, compilers, bench, (states, on_chip, seed), tell)
-        loops: dict[str, int] = {}
+            pairs = compare(cases, places)
+            if on_chip:
+                places["chip"] = _chip_place(bench, path, config, on_chip, tell)
+                there = compare(cases.part(0, on_chip), places)
+                pairs += [one for one in there if one.second == "chip"]
         if loop_decisions:
             libraries = {
                 name: build("native", image, used.robot, Path(folder) / name, compiler).image
                 for name, compiler in compilers.items()
             }
-            loops = _loops(libraries, bench, used.tables, config, loop_decisions, seed)
-    places = {"python": "twin", **{name: one.version for name, one in compilers.items()}}
-    return Parity(states, on_chip, pairs, loop_decisions, loops, places, seed)
+            loops = _loops(libraries, bench, tables, config, loop_decisions, seed)
+    versions = {"python": "twin", **{name: one.version for name, one in compilers.items()}}
+    return Parity(states, on_chip, pairs, loop_decisions, loops, versions, seed)
 
 
-def _single(
-    tables: Tables,
-    config: PlanConfig,
-    compilers: dict[str, Compiler],
-    bench: Path,
-    counts: tuple[int, int, int],
-    progress: Callable[[int, int], None],
-) -> list[PairReport]:
-    """Compare single decisions: the chip on the first states, all other places on all of them."""
+def _chip_place(
+    bench: Path, path: SwimPath, config: PlanConfig, states: int, progress: Callable[[int, int], None]
+) -> Place:
     from frogkick.runs.chip_check import ChipPlanner  # it cannot be loaded without the extra
 
-    states, chip_states, seed = counts
-    path = shape("sine")
-    cases = make_cases(tables, path, states, seed)
-    places: dict[str, Place] = {"python": python_place(tables, path, config)}
-    for name, compiler in compilers.items():
-        places[name] = native_place(NativeLibrary(compiler=compiler), tables, path, config)
-    reports = compare(cases, places)
-    if chip_states:
-        chip = ChipPlanner(bench)
-        chip.configure(path, config)
+    chip = ChipPlanner(bench)
+    chip.configure(path, config)
 
-        def show_progress(done: int) -> None:
-            if done % 100 == 0 or done == chip_states:
-                progress(done, chip_states)
+    def show_progress(done: int) -> None:
+        if done % 100 == 0 or done == states:
+            progress(done, states)
 
-        places["chip"] = lambda queries, depths, use, along: chip.plan(
-            queries, depths, use, along, show_progress, counted=False
-        )[0]
-        reports += [one for one in compare(cases.part(0, chip_states), places) if one.second == "chip"]
-    return reports
+    return lambda queries, depths, use, along: chip.plan(
+        queries, depths, use, along, show_progress, counted=False
+    )[0]
 
 
 def _loops(

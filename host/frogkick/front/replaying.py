@@ -147,13 +147,7 @@ def fetch_from(session: Session, progress: Progress = False) -> FetchedLog:
 
 
 def fetch_log(target: str, out: Path | None = None, progress: Progress = False) -> FetchedLog:
-    """Fetch the log that a robot keeps in its RAM, during a run, after it or after a reset. Changes nothing.
-
-    Args:
-        target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
-        out: file (.h5) to write as well.
-        progress: of the bytes: True for a bar, or a function of (done, all).
-    """
+    """Fetch the log that a robot keeps in its RAM, with the options of the command ``log fetch``."""
     require_target(target)
     require_writable(out)
     with connect(target) as bot:
@@ -172,11 +166,7 @@ def replay_log(
 ) -> LogReplay:
     """Repeat the decisions of a robot's log by the C core on this computer and by the Python twin.
 
-    Args:
-        log: the result of ``fetch_log``, or its file.
-        tables: image that the robot carried; None: the default one of the robot.
-        model: name or TOML file of the robot; None: the table's.
-        progress: of the records: True for a bar, or a function of (done, all).
+    The arguments are the options of the command ``log replay``; ``log`` may be what ``fetch_log`` returned.
     """
     fetched = log if isinstance(log, FetchedLog) else read_log(log)
     name = "the log" if isinstance(log, FetchedLog) else repr(Path(log).name)

@@ -20,7 +20,6 @@ from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import UnwritableError, require_writable, save_result, write_bytes
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, Stage, in_stages, shown
-from frogkick.front.html import page_of
 from frogkick.front.identifying import Given, LeftOut, log_of, require_held_out
 from frogkick.front.retune_tables import PERIOD_OFF, Lost, TableMaker, Tracked, table_error, table_horizons
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
@@ -30,6 +29,7 @@ from frogkick.identification.outcome import Outcome, found_toml, identify, write
 from frogkick.identification.segments import Segments, reliable, segments_of
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import NOTHING, TOO_LITTLE
+from frogkick.report.style import page_of
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick_codegen.firmware import require_tools
 

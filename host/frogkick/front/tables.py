@@ -24,9 +24,9 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, existing_file, one_at_a_time, sole_writer, write_bytes
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.effects.registry import own_code
-from frogkick.front.html import page_of
 from frogkick.library import RECORD_S, Library, library_info, wear
 from frogkick.library.fitting import SAMPLING, SEED, STATES
+from frogkick.report.style import page_of
 from frogkick.robot import Robot, built_in_robots, load_robot, parse_robot
 from frogkick.tables.image import Tables, open_image, read_image
 

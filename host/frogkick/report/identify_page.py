@@ -11,7 +11,6 @@ from frogkick.identification.fit import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.refine import RELEASE_PENALTY
 from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN, CandidateScore
-from frogkick.identification.terms import Interval
 from frogkick.identification.verdict import FOUND, FOUND_LAW, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED
 from frogkick.report.identify_figures import (
     by_action_figure,
@@ -56,8 +55,13 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
         f"Verdict: {outcome.verdict} ({names}): {MEANS[outcome.verdict]}. One period ahead on the test runs, "
         f"the nominal model of {outcome.robot.title} has an error of {tested.before} (RMS). With the "
         f"identified effects the error is {tested.after}. Noise of the fixes alone causes "
-        f"{tested.noise_floor}.{_gain_words(tested.gain)}"
+        f"{tested.noise_floor}."
     )
+    if tested.gain is not None:
+        value, low, high = tested.gain.value, tested.gain.low, tested.gain.high
+        lead += (
+            f" The log score of a period rises by {value:.2f} (95 percent interval {low:.2f} to {high:.2f})."
+        )
     residuals = residuals_of(outcome)
     sections = [_errors(outcome)]
     if len(residuals.run):
@@ -65,15 +69,6 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
     sections += [_effects(outcome), *([law_section(outcome)] if laws_of(outcome) else [])]
     sections += [_candidates(outcome), _confounded(outcome), _unexplained(outcome), _terms(outcome)]
     write_page(target, TITLE, lead, sections)
-
-
-def _gain_words(gain: Interval | None) -> str:
-    if gain is None:
-        return ""
-    return (
-        f" The log score of a period rises by {gain.value:.2f} (95 percent interval {gain.low:.2f} to "
-        f"{gain.high:.2f})."
-    )
 
 
 def _errors(outcome: Outcome) -> Section:

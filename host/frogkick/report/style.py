@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import base64
+import html
 import io
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -145,3 +146,16 @@ def figure_uri(figure: Figure | bytes) -> str:
     """Return a new figure, or its PNG, as a data URI for an <img>."""
     png = figure if isinstance(figure, bytes) else png_of(figure)
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+
+
+def page_of(title: str, rows: Mapping[str, Any], figure: Any = None) -> str:
+    """Return the HTML of an object in a notebook: name, values, and below a matplotlib figure if there is one."""
+    texts = {name: f"{each:.4g}" if isinstance(each, float) else str(each) for name, each in rows.items()}
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
+        for name, text in texts.items()
+    )
+    picture = ""
+    if figure is not None:
+        picture = f"<img style='max-width:100%' alt='{html.escape(title)}' src='{figure_uri(figure)}'>"
+    return f"<div><b>{html.escape(title)}</b><table>{cells}</table>{picture}</div>"

@@ -186,13 +186,6 @@ def _write_cells(
         axes.text(column, row, text + star, ha="center", va="center", fontsize=8, color=colour)
 
 
-def _mean_of_known(values: Float64) -> Float64:
-    """(1, n) means of columns without their NaN; 0 for a column of NaN alone, where ``nanmean`` warns."""
-    known = np.isfinite(values)
-    total = np.where(known, values, 0.0).sum(axis=0, keepdims=True)
-    return np.asarray(total / np.maximum(known.sum(axis=0, keepdims=True), 1))
-
-
 def _phases(sweep: Sweep) -> Figure:
     fractions, phases = _fractions(sweep), sweep.plan.phases
     tables: dict[float, tuple[list[float], Float64, Float64]] = {}
@@ -207,7 +200,11 @@ def _phases(sweep: Sweep) -> Figure:
                 cost[row, column] = point.cost_of_transport
         cost[~np.isfinite(cost)] = np.nan
         tables[fraction] = [design.frequency_hz for design in own], speed, cost
-    turns = {fraction: speed - _mean_of_known(speed) for fraction, (_, speed, _) in tables.items()}
+    # A masked mean, as that of an array warns of a column of NaN alone.
+    turns = {
+        fraction: speed - np.ma.masked_invalid(speed).mean(axis=0, keepdims=True).filled(0.0)
+        for fraction, (_, speed, _) in tables.items()
+    }
     speeds = np.concatenate([speed.ravel() for _, speed, _ in tables.values()])
     costs = np.concatenate([cost.ravel() for _, _, cost in tables.values()])
     turn = float(np.nanmax([np.nanmax(np.abs(t), initial=0.0) for t in turns.values()])) or 1.0

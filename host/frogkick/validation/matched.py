@@ -129,7 +129,7 @@ def matched_without(
         for change, factor in zip(constants.values(), factors.tolist(), strict=True):
             robot = change(robot, factor)
         gaits = [cases[k].gait for k in np.flatnonzero(rows)]
-        swum, failed = swum_of(robot, validation.profiles, set(gaits), workers, None)
+        swum, failed = swum_of(robot, validation.profiles, set(gaits), workers)
         if failed:
             raise InputError(next(iter(failed.values())))
         return [swum[gait] for gait in gaits]

@@ -141,7 +141,7 @@ def run_sweep(
     plan: SweepPlan,
     out: Path,
     workers: int,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
     cluster: str | None = None,
 ) -> Sweep:
     """Simulate the gaits that ``out/chunks`` does not contain yet, and return all.
@@ -158,8 +158,7 @@ def run_sweep(
     found = {design: _read_chunk(_chunk_file(out, design), key, plan, design) for design in plan.designs}
     missing = [design for design in plan.designs if found[design] is None]
     done = len(plan.designs) - len(missing)
-    if progress is not None:
-        progress(done * len(plan.phases), plan.gaits)
+    progress(done * len(plan.phases), plan.gaits)
     # A task is as many designs as fill the lanes of the simulation; each is a chunk file of its own.
     together = WIDTH // math.gcd(WIDTH, len(plan.phases))
     tasks = [missing[first : first + together] for first in range(0, len(missing), together)]
@@ -176,8 +175,7 @@ def run_sweep(
             write_text(_chunk_file(out, design), _chunk_text(key, own))
             found[design] = own
         done += len(tasks[index])
-        if progress is not None:
-            progress(done * len(plan.phases), plan.gaits)
+        progress(done * len(plan.phases), plan.gaits)
     return Sweep(plan, tuple(point for design in plan.designs for point in found[design] or ()))
 
 

@@ -153,7 +153,7 @@ class Validation:
 
 
 def validate(
-    robot: Robot, folder: Path, workers: int, progress: Callable[[int, int], None] | None = None
+    robot: Robot, folder: Path, workers: int, progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> Validation:
     """Swim every gait that a data folder has a simulation or a measurement of, and compare.
 
@@ -227,7 +227,7 @@ def swum_of(
     profiles: Profiles,
     gaits: Iterable[Gait],
     workers: int,
-    progress: Callable[[int, int], None] | None,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> tuple[dict[Gait, GaitSwim], dict[Gait, str]]:
     """Swim each gait once; return the swims, and the reasons of failures."""
     ordered = sorted(gaits, key=lambda gait: (gait.egain_percent, gait.frequency_hz, gait.phase))
@@ -240,8 +240,7 @@ def swum_of(
                 swum[gait] = result
             else:
                 failed[gait] = result
-        if progress is not None:
-            progress(len(swum) + len(failed), len(ordered))
+        progress(len(swum) + len(failed), len(ordered))
     return swum, failed
 
 

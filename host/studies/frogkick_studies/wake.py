@@ -216,7 +216,7 @@ def run(config: Wake) -> WakeStudy:
         return rods * kept(tried, PHASES, config.frequency) + float(np.mean(levels_of(tried)))
 
     gaits = [Gait(config.egain, config.frequency, float(phase)) for phase in PHASES]
-    swum, failed = swum_of(robot, found.profiles, set(gaits), config.processes, None)
+    swum, failed = swum_of(robot, found.profiles, set(gaits), config.processes)
     if failed:
         raise InputError(f"nothing to predict: {next(iter(failed.values()))}")
     rods = np.array([swum[gait].speed_mps for gait in gaits])

@@ -419,7 +419,7 @@ def unmeasured(profiles: Profiles, swims: Sequence[ExperimentResult]) -> list[Ga
 
 def _speeds(robot: Robot, profiles: Profiles, gaits: Sequence[Gait], workers: int) -> Float64:
     """Return (len(gaits),) speeds, m/s."""
-    swum, failed = swum_of(robot, profiles, set(gaits), workers, None)
+    swum, failed = swum_of(robot, profiles, set(gaits), workers)
     if failed:
         raise InputError(f"{robot.effects}: {next(iter(failed.values()))}")
     return np.array([swum[gait].speed_mps for gait in gaits])

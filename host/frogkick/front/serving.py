@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +32,7 @@ from frogkick.vision.pose import tag_place
 from frogkick.vision.scene import Conditions, Scene
 from frogkick.vision.video import streamed
 
+Pose = tuple[float, float, float]
 RATE_HZ = 20.0
 KEPT_EVERY_S = 0.5
 BEHIND_S = 2.0
@@ -43,30 +43,57 @@ TRUTH_ROWS = 1000
 """Older true poses are deleted, because the pool may be open for days."""
 
 
-class ServedRobot:
-    """A simulated robot in a simulated pool, in real time, behind a serial port (a ``Listener``).
+class ServedPool:
+    """An open pool in real time, with a robot behind a serial port (a ``Listener``): bytes in, bytes out.
 
-    Bytes in, bytes out; the limbs that the robot actuates move it through the water.
+    The limbs that the robot actuates move it through the water.
     """
 
     sleep_s = 0.005  # until the next tick; so long ago a picture shows at most what was true
+    source = ""  # the camera, as ``--source`` takes it
+    picture = ""  # address of a single picture
+    line: PtyLine
 
     def __init__(
         self,
-        switch_on: Callable[[bytes | None], SimulatedPort],
+        table: Table,
+        begin: Pose,
         pool: Pool,
-        flash: bytes | None = None,
+        scene: Scene,
+        calibration: Calibration | None,
+        switch_on: Callable[[bytes | None], SimulatedPort],
+        flash: Path | None,
+        held: bytes | None,
+        seed: int,
     ) -> None:
         """Switch the robot on, at rest in the pool.
 
-        ``switch_on`` makes a robot whose clock is 0, from what its flash holds; None: as it was flashed.
+        Args:
+            table: in the robot's firmware.
+            begin: x (m), y (m) and heading (rad) at which the robot lies at first.
+            switch_on: makes a robot whose clock is 0, from what its flash holds; None: as it was flashed.
+            flash: file in which its flash is kept; None: in none.
+            held: what that file holds.
+            seed: of the pictures' noise.
         """
-        self._switch_on, self._pool = switch_on, pool
-        self._lock = threading.Lock()
+        self.table, self.begin, self.flash = table, begin, flash
+        self._pool, self._scene, self._calibration = pool, scene, calibration
+        self._switch_on, self._seed, self._lock = switch_on, seed, threading.Lock()
         self._pool_begin_s = time.monotonic() - pool.time_s
-        self._start(flash)
-        self.pose_world = self._pose()  # true a moment ago
-        self.behind_s = 0.0  # how far the simulation is behind the clock
+        self._kept: bytes | None = None  # in the flash's file
+        self._kept_s, self._taken = 0.0, 0
+        self._covered, self._mirrored = False, False  # the tag, the pictures
+        self._behind_s = 0.0  # how far the simulation is behind the clock
+        self._start(held)
+        self._pose = self._true_pose()  # true a moment ago
+
+    def _start(self, flash: bytes | None) -> None:
+        self._port = self._switch_on(flash)
+        self._begin_s = time.monotonic()
+
+    def _true_pose(self) -> Pose:
+        x_m, y_m, heading_rad = (float(value) for value in self._pool.state()[0])
+        return x_m, y_m, heading_rad
 
     def feed(self, data: bytes) -> bytes:
         """Take bytes from the wire."""
@@ -89,68 +116,14 @@ class ServedRobot:
             self._pool.advance(max(now_s - self._pool_begin_s, self._pool.time_s))
             if len(self._pool.truth.time_s) > TRUTH_ROWS:
                 self._pool.truth = Truth()
-            self.pose_world = self._pose()
-            self.behind_s = time.monotonic() - now_s
+            self._pose = self._true_pose()
+            self._behind_s = time.monotonic() - now_s
             return b"".join(data for _, data in self._port.received())
-
-    def put(self, pose_world: tuple[float, float, float]) -> None:
-        """Lay the robot down elsewhere, at rest."""
-        with self._lock:
-            self._pool.put(pose_world)
-            self.pose_world = self._pose()
-
-    def restart(self) -> None:
-        """Switch the robot off and on: only its flash outlives that."""
-        with self._lock:
-            self._start(self._port.flash_content())
-
-    def flash_content(self) -> bytes:
-        """What outlives a loss of power: tables, and the owner's key."""
-        with self._lock:
-            return self._port.flash_content()
-
-    def _start(self, flash: bytes | None) -> None:
-        self._port = self._switch_on(flash)
-        self._begin_s = time.monotonic()
-
-    def _pose(self) -> tuple[float, float, float]:
-        x_m, y_m, heading_rad = (float(value) for value in self._pool.state()[0])
-        return x_m, y_m, heading_rad
-
-
-@dataclass
-class ServedPool:
-    """An open pool.
-
-    Attributes:
-        table: the table in the robot's firmware.
-        begin: initial x (m), y (m) and heading (rad) of the robot.
-        flash: file in which its flash is kept; None: in none.
-        source: the camera, as ``--source`` takes it.
-        picture: address of a single picture.
-        covered, mirrored: whether the tag is hidden, whether the pictures are mirrored.
-    """
-
-    table: Table
-    begin: tuple[float, float, float]
-    flash: Path | None
-    _scene: Scene = field(repr=False)
-    _calibration: Calibration | None = field(repr=False)
-    _robot: ServedRobot = field(repr=False)
-    _line: PtyLine = field(repr=False)
-    _seed: int = field(repr=False)
-    source: str = ""
-    picture: str = ""
-    covered: bool = False
-    mirrored: bool = False
-    _taken: int = field(default=0, repr=False)
-    _kept: bytes | None = field(default=None, repr=False)
-    _kept_s: float = 0.0
 
     @property
     def target(self) -> str:
         """The robot, as ``--robot`` takes it."""
-        return f"serial:{self._line.path}"
+        return f"serial:{self.line.path}"
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``pool``."""
@@ -168,21 +141,21 @@ class ServedPool:
     def seen(self) -> UInt8:
         """Render what the camera sees now; several viewers may ask at once."""
         self._taken += 1
-        pose = self._robot.pose_world
+        pose = self._pose
         if self._calibration is not None:
             x_m, y_m, heading_rad = (float(value) for value in tag_place(self._calibration, *pose))
             pose = (x_m, y_m, heading_rad)
         rng = np.random.default_rng((self._seed, self._taken))
-        image = self._scene.picture(None if self.covered else pose, rng)
-        return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
+        image = self._scene.picture(None if self._covered else pose, rng)
+        return np.ascontiguousarray(image[:, ::-1]) if self._mirrored else image
 
     def look_after(self) -> None:
         """Write the flash's file if the flash has changed; call it from time to time."""
-        if self._line.error is not None:
-            raise self._line.error
-        if self._robot.behind_s > BEHIND_S:
+        if self.line.error is not None:
+            raise self.line.error
+        if self._behind_s > BEHIND_S:
             raise InputError(
-                f"the simulation is {self._robot.behind_s:.1f} s behind the clock: stop other programs, "
+                f"the simulation is {self._behind_s:.1f} s behind the clock: stop other programs, "
                 "or leave out --virtual"
             )
         now_s = time.monotonic()
@@ -192,7 +165,8 @@ class ServedPool:
 
     def keep(self) -> None:
         """Write the flash's file, if the flash has changed."""
-        content = self._robot.flash_content()
+        with self._lock:
+            content = self._port.flash_content()  # tables, and the owner's key
         if self.flash is not None and content != self._kept:
             write_bytes(self.flash, content)
             self._kept = content
@@ -207,23 +181,26 @@ class ServedPool:
             )
         if word == "put":
             pose = _pose_in(self._scene.pool_m, rest.strip(), "put") if rest.strip() else self.begin
-            self._robot.put(pose)
+            with self._lock:
+                self._pool.put(pose)
+                self._pose = self._true_pose()
             return f"the robot lies at {pose[0]:g}, {pose[1]:g} m, {math.degrees(pose[2]):g} degrees"
         if word in ("hide", "show"):
-            self.covered = word == "hide"
-            return "the tag is covered" if self.covered else "the tag is uncovered"
+            self._covered = word == "hide"
+            return "the tag is covered" if self._covered else "the tag is uncovered"
         if word == "mirror":
-            self.mirrored = not self.mirrored
-            return f"the camera's pictures are {'' if self.mirrored else 'not '}mirrored"
+            self._mirrored = not self._mirrored
+            return f"the camera's pictures are {'' if self._mirrored else 'not '}mirrored"
         if word == "restart":
-            self._robot.restart()
+            with self._lock:  # only the robot's flash outlives that
+                self._start(self._port.flash_content())
             return "the robot was switched off and on"
-        if (word == "plug") is self._line.is_plugged_in:
+        if (word == "plug") is self.line.is_plugged_in:
             return f"the cable is {'plugged in' if word == 'plug' else 'pulled'} already"
         if word == "unplug":
-            self._line.pull_out()
+            self.line.pull_out()
             return "the cable is pulled"
-        self._line.plug_in()
+        self.line.plug_in()
         return f"the cable is plugged in: {self.target}"
 
 
@@ -273,9 +250,8 @@ def served_pool(
         switch_on = _maker(robot, built.image, limbs)
         pool = Pool(described, first, Camera(rate_hz=1.0), rng, true)
         pool.advance(1e-3)  # compiles the rods if needed
-        served = ServedRobot(switch_on, pool, held)
-        wire = stack.enter_context(PtyLine(None if line is None else Path(line), served))
-        opened = ServedPool(used, first, kept, scene, calibration, served, wire, seed)
+        opened = ServedPool(used, first, pool, scene, calibration, switch_on, kept, held, seed)
+        opened.line = stack.enter_context(PtyLine(None if line is None else Path(line), opened))
         opened.source, opened.picture = stack.enter_context(streamed(opened.seen, RATE_HZ, port))
         try:
             yield opened
@@ -303,7 +279,7 @@ def _maker(name: str, image: Path, limbs: int) -> Callable[[bytes | None], Simul
     return switch_on
 
 
-def _pose_in(pool_m: tuple[float, float], text: str, what: str) -> tuple[float, float, float]:
+def _pose_in(pool_m: tuple[float, float], text: str, what: str) -> Pose:
     x_m, y_m, heading_rad = parse_begin(text, what)
     if not (0.0 <= x_m <= pool_m[0] and 0.0 <= y_m <= pool_m[1]):
         raise InputError(

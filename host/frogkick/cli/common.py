@@ -111,7 +111,7 @@ class Result:
     values: Mapping[str, Any]  # printed as one JSON object, or as text
     lines: Sequence[str] | None = None  # the text; None: the values, one a line
     passed: bool = True
-    remarks: Sequence[str] = ()  # said after it, see ``say``
+    remarks: Sequence[str] = ()  # said after it, see ``say``; "" is none
 
 
 def show(result: Result, as_json: bool, file: TextIO) -> None:
@@ -119,18 +119,14 @@ def show(result: Result, as_json: bool, file: TextIO) -> None:
     lines = text_lines(result.values) if result.lines is None else result.lines
     for line in [json_text(result.values)] if as_json else lines:
         print(line, file=file, flush=True)
-    for remark in result.remarks:
+    for remark in filter(None, result.remarks):
         say(remark)
     if not result.passed:
         raise typer.Exit(1)
 
 
 def require_one_place(workers: int, cluster: str | None) -> None:
-    """Check that a command computes either in processes of this computer or on a cluster.
-
-    Raises:
-        InputError: --workers and --cluster are given, or the cluster's address is not valid.
-    """
+    """Raise InputError if both --workers and --cluster are given, or the cluster's address is not valid."""
     if cluster is None:
         return
     if workers:

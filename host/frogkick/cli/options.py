@@ -112,11 +112,7 @@ WRITTEN = ("out", "predictions", "report", "animation", "picture")
 
 
 def require_apart(options: Mapping[str, Any]) -> None:
-    """Check that no file is written that the command also reads, or writes twice.
-
-    Raises:
-        InputError: such a file.
-    """
+    """Raise InputError if a file would be written that the command also reads, or written twice."""
     written = {name: Path(options[name]) for name in WRITTEN if options.get(name) is not None}
     read = [value for name, value in options.items() if name not in WRITTEN for value in _files(value)]
     for index, (name, file) in enumerate(written.items()):

@@ -240,26 +240,23 @@ def command(name: str) -> Callable[..., Result]:
         sys.path.append(str(folder))
     config = importlib.import_module("frogkick_studies.configs").STUDIES[name]
     hints = get_type_hints(config, include_extras=True)
-    options = {
-        field.name: hints[field.name]
-        if get_origin(hints[field.name]) is Annotated
-        else SHARED[field.name, str(field.type)]
+    parameters = [
+        Parameter(
+            field.name,
+            Parameter.KEYWORD_ONLY,
+            default=Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name]
+            if get_origin(hints[field.name]) is Annotated
+            else SHARED[field.name, str(field.type)],
+        )
         for field in fields(config)
-    }
-    defaults = {
-        field.name: Parameter.empty if field.default is MISSING else field.default for field in fields(config)
-    }
+    ]
 
     def run(**given: Any) -> Result:
         return _run(name, config(**given))
 
     run.__doc__ = config.__doc__
-    run.__signature__ = Signature(  # type: ignore[attr-defined]
-        [
-            Parameter(each, Parameter.KEYWORD_ONLY, default=defaults[each], annotation=option)
-            for each, option in options.items()
-        ]
-    )
+    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return run
 
 

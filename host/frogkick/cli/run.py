@@ -212,4 +212,4 @@ def run(
         cut_short and f"the path was not completed, as {cut_short}",
     ]
     failed = found.tracking.limit_violations or found.tracking.stood or lacks or cut_short
-    return Result(values, passed=not failed, remarks=[remark for remark in remarks if remark])
+    return Result(values, passed=not failed, remarks=remarks)

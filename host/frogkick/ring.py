@@ -63,21 +63,13 @@ class RingRun:
 
 @dataclass(frozen=True, eq=False)
 class Adaptation:
-    """The result for the worn limb.
+    """The result for the worn limb; its runs are along the same paths, with the same noise."""
 
-    Attributes:
-        true_effect: the effect that acts in the pool, as in a world's TOML file.
-        outcome: the result of the identification.
-        old, learned, new: runs of the worn robot with the old table, with the old one while it estimated the
-            wear of its limbs, and with the new one, along the same paths and with the same noise; ``new`` is
-            empty if no effect was found.
-    """
-
-    true_effect: dict[str, Any]
+    true_effect: dict[str, Any]  # acts in the pool, as in a world's TOML file
     outcome: Outcome
-    old: list[RunLog]
-    learned: list[RunLog]
-    new: list[RunLog]
+    old: list[RunLog]  # with the old table
+    learned: list[RunLog]  # with the old table, while the robot estimated the wear of its limbs
+    new: list[RunLog]  # with the new table; empty if no effect was found
 
     @staticmethod
     def distance_m(runs: Sequence[RunLog]) -> float:
@@ -107,25 +99,17 @@ class Adaptation:
 
 @dataclass
 class Ring:
-    """The results of all stages.
+    """The results of all stages."""
 
-    Attributes:
-        robot, states, tables, built: the nominal robot, the size of its library, its table and its firmware.
-        options, runs: of every run; a run along each path.
-        chip: the test of the firmware on the virtual chip.
-        stage_s: duration of each stage, s.
-        adaptation: the result for the worn limb; None before ``adapt``.
-    """
-
-    robot: Robot
-    states: int
+    robot: Robot  # nominal
+    states: int  # of its library
     tables: Tables
     built: Firmware
-    options: RunOptions
-    runs: list[RingRun] = field(default_factory=list)
-    chip: ChipReport = field(default_factory=ChipReport)
-    stage_s: dict[str, float] = field(default_factory=dict)
-    adaptation: Adaptation | None = None
+    options: RunOptions  # of every run
+    runs: list[RingRun] = field(default_factory=list)  # one along each path
+    chip: ChipReport = field(default_factory=ChipReport)  # the test of the firmware
+    stage_s: dict[str, float] = field(default_factory=dict)  # stage -> its duration, s
+    adaptation: Adaptation | None = None  # None before ``adapt``
 
     @property
     def mean_distance_m(self) -> float:

@@ -144,8 +144,7 @@ def no_operator(_stdin_is_taken: bool) -> AbstractContextManager[Operator]:
 class Bench:
     """The options of ``run`` for a real robot, by its names. A simulated one has none of them.
 
-    Raises:
-        InputError: an option that does not fit the robot, or is missing.
+    An option that does not fit the robot, or is missing, raises an ``InputError``.
     """
 
     robot: str

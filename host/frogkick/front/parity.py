@@ -26,20 +26,14 @@ LOOP_DECISIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class Parity:
-    """The differences between the places that decide; see ``compare_places`` for the numbers.
-
-    Attributes:
-        pairs: for each pair of places the number of different decisions, their fields and the first one.
-        loop_mismatches: pair of places, such as "python-native" -> different decisions or outputs.
-        places: name -> the compiler's version, or "twin".
-    """
+    """The differences between the places that decide; see ``compare_places`` for the numbers."""
 
     states: int
     chip_states: int
-    pairs: Sequence[PairReport]
+    pairs: Sequence[PairReport]  # for each pair: the number of different decisions, their fields, the first
     loop_decisions: int
-    loop_mismatches: dict[str, int]
-    places: dict[str, str]
+    loop_mismatches: dict[str, int]  # pair, such as "python-native" -> different decisions or outputs
+    places: dict[str, str]  # name -> the compiler's version, or "twin"
     seed: int
 
     @property

@@ -298,28 +298,21 @@ def build_library(
             file = Path(folder) / "library.h5"
         else:
             file = Path(out)
-            stack.enter_context(_reports_finished_parts(file))
             stack.enter_context(sole_writer(file))  # and of the checkpoints beside it
         tell = stack.enter_context(shown(progress, "library"))
         processes = 1 if cluster else workers or os.cpu_count() or 1
-        made = libraries.build_library(
-            robot, states, seed, processes, file, tell, sampling, record_s, cluster, keep_others=True
-        )
-        return replace(made, folder=robot.folder)
-
-
-@contextmanager
-def _reports_finished_parts(out: Path) -> Iterator[None]:
-    """If a build is interrupted, print where its finished parts are and how to resume."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if libraries.checkpoint_folder(out).exists():
-            tell_line(
-                f"frogkick: finished parts are in {str(libraries.checkpoint_folder(out))!r}: "
-                "the same command resumes from there"
+        try:
+            made = libraries.build_library(
+                robot, states, seed, processes, file, tell, sampling, record_s, cluster, keep_others=True
             )
-        raise
+        except KeyboardInterrupt:
+            parts = libraries.checkpoint_folder(file)
+            if out is not None and parts.exists():
+                tell_line(
+                    f"frogkick: finished parts are in {str(parts)!r}: the same command resumes from there"
+                )
+            raise
+        return replace(made, folder=robot.folder)
 
 
 @typed

@@ -24,11 +24,7 @@ COORDINATE_MAX_M = 1000.0
 
 
 def require_points(name: str, count: int) -> None:
-    """Raise an error if a path has fewer than two points.
-
-    Raises:
-        InputError: it has.
-    """
+    """Raise InputError if a path has fewer than two points."""
     if count == 0:
         raise InputError(f"path {name!r} is empty (0 points): give at least 2 points")
     if count == 1:
@@ -36,11 +32,7 @@ def require_points(name: str, count: int) -> None:
 
 
 def require_near(name: str, x_m: Float64, y_m: Float64) -> None:
-    """Raise an error if a point lies where the planner refuses a position.
-
-    Raises:
-        InputError: one does.
-    """
+    """Raise InputError if a point lies where the planner refuses a position."""
     far = np.flatnonzero((np.abs(x_m) > COORDINATE_MAX_M) | (np.abs(y_m) > COORDINATE_MAX_M))
     if far.size:
         raise InputError(

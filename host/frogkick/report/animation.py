@@ -145,11 +145,7 @@ def film(swim: Swim) -> Film:
 
 
 def require_animation_name(target: Path) -> None:
-    """Refuse a file name that cannot be written, before anything is simulated.
-
-    Raises:
-        InputError: a name that ends in none of ``ANIMATIONS``.
-    """
+    """Raise InputError, before anything is simulated, for a name that ends in none of ``ANIMATIONS``."""
     if target.suffix.lower() not in ANIMATIONS:
         raise InputError(f"animation {str(target)!r} does not end in {' or '.join(ANIMATIONS)}: choose one")
 
@@ -244,19 +240,15 @@ def _pictures(swim: Swim, shot: Film, progress: Callable[[int, int], None]) -> I
         progress(k + 1, len(shot.time_s))
 
 
-def _palette() -> Image.Image:
+def _write_gif(target: Path, pictures: Iterator[UInt8]) -> None:
     inks = np.array([to_rgb(ink) for ink in _INKS])[:, None, :]
     share = np.linspace(0.0, 1.0, _SHADES + 1)[None, 1:, None]
     shades = np.round(255.0 * (1.0 - share + share * inks)).astype(np.uint8).reshape(-1, 3)
     palette = Image.new("P", (1, 1))
     palette.putpalette([255, 255, 255, *shades.ravel().tolist()])
-    return palette
-
-
-def _write_gif(target: Path, pictures: Iterator[UInt8]) -> None:
-    images = [Image.fromarray(picture) for picture in pictures]
-    palette = _palette()
-    coded = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    coded = [
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
+    ]
     coded[0].save(
         target, format="GIF", save_all=True, append_images=coded[1:], duration=1000 // RATE_HZ, loop=0
     )

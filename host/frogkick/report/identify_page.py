@@ -40,11 +40,7 @@ MEANS = {
 
 
 def write_identify_page(target: Path, outcome: Outcome) -> None:
-    """Write the report as one HTML file.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the report as one HTML file."""
     if outcome.found is None:
         lead = f"Verdict: {outcome.verdict}. {outcome.reason[:1].upper()}{outcome.reason[1:]}."
         write_page(target, TITLE, lead, [_terms(outcome)])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frogkick.core.arrays import Float64, Int64
+from frogkick.core.arrays import AnyArray, Float64, Int64
 from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.segments import Segments
@@ -69,44 +69,34 @@ def residuals_of(outcome: Outcome, train: bool = False) -> Residuals:
     if train and outcome.found is not None:
         found = outcome.found
         swims, nominal, fitted = outcome.train, found.nominal.rollouts, found.fitted.rollouts
-    known = [
-        np.isfinite(prediction_errors([rollouts[k]], [swim])).all(axis=1)
-        for rollouts in (nominal, fitted)
-        for k, swim in enumerate(swims)
-    ]
-    both = [known[k] & known[k + len(swims)] for k in range(len(swims))]
-    rows = [np.flatnonzero(each) for each in both]
-
-    def joined(parts: list[Float64]) -> Float64:
-        return np.concatenate([part[kept] for part, kept in zip(parts, rows, strict=True)])
-
-    limbs = []
-    for swim in swims:
-        counts = np.zeros((len(swim.start_s), len(outcome.robot.limbs)), dtype=np.int64)
+    parts: list[dict[str, AnyArray]] = []
+    for k, (swim, plain, full) in enumerate(zip(swims, nominal, fitted, strict=True)):
+        errors = (prediction_errors([rollout], [swim]) for rollout in (plain, full))
+        kept = np.all([np.isfinite(each).all(axis=1) for each in errors], axis=0)
+        limbs = np.zeros((len(swim.start_s), len(outcome.robot.limbs)), dtype=np.int64)
         for time_s, limb in swim.strokes:
-            counts[(swim.start_s <= time_s + 1e-6) & (time_s < swim.end_s - 1e-6), limb] += 1
-        limbs.append(counts)
-    start, end = (joined([getattr(swim, name) for swim in swims]) for name in ("start_s", "end_s"))
-    middle, early, late = (
-        joined([pose_at(swim, first * swim.start_s + (1.0 - first) * swim.end_s) for swim in swims])
-        for first in (0.5, 0.75, 0.25)
-    )
-    rate = (late - early) / (0.5 * (end - start))[:, None]
-    return Residuals(
-        run=np.concatenate([np.full(len(kept), k) for k, kept in enumerate(rows)]),
-        period=np.concatenate(rows),
-        time_s=joined([swim.start_s - swim.start_s[0] for swim in swims]),
-        at_s=0.5 * (start + end),
-        action=np.concatenate([swim.action[kept] for swim, kept in zip(swims, rows, strict=True)]),
-        limbs=np.concatenate([counts[kept] for counts, kept in zip(limbs, rows, strict=True)]),
-        # Of the nominal model, because an effect may move the centre of mass away from the tag.
-        pose=joined([rollout.start[:, :3] for rollout in nominal]),
-        middle=middle,
-        velocity=body_from_world(middle[:, 2], rate),
-        measured=joined([swim.measured for swim in swims]),
-        nominal=joined([rollout.predicted for rollout in nominal]),
-        found=joined([rollout.predicted for rollout in fitted]),
-    )
+            limbs[(swim.start_s <= time_s + 1e-6) & (time_s < swim.end_s - 1e-6), limb] += 1
+        middle, early, late = (
+            pose_at(swim, first * swim.start_s + (1.0 - first) * swim.end_s) for first in (0.5, 0.75, 0.25)
+        )
+        rate = (late - early) / (0.5 * (swim.end_s - swim.start_s))[:, None]
+        columns = {
+            "run": np.full(len(kept), k),
+            "period": np.arange(len(kept)),
+            "time_s": swim.start_s - swim.start_s[0],
+            "at_s": 0.5 * (swim.start_s + swim.end_s),
+            "action": swim.action,
+            "limbs": limbs,
+            # Of the nominal model, because an effect may move the centre of mass away from the tag.
+            "pose": plain.start[:, :3],
+            "middle": middle,
+            "velocity": body_from_world(middle[:, 2], rate),
+            "measured": swim.measured,
+            "nominal": plain.predicted,
+            "found": full.predicted,
+        }
+        parts.append({name: column[kept] for name, column in columns.items()})
+    return Residuals(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
 def by_limb(residuals: Float64, limbs: Int64) -> tuple[Float64, Float64]:

@@ -149,7 +149,7 @@ def figure_uri(figure: Figure | bytes) -> str:
 
 
 def page_of(title: str, rows: Mapping[str, Any], figure: Any = None) -> str:
-    """Return the HTML of an object in a notebook: name, values, and below a matplotlib figure if there is one."""
+    """Return the HTML of an object in a notebook: name, values, below a matplotlib figure if there is one."""
     texts = {name: f"{each:.4g}" if isinstance(each, float) else str(each) for name, each in rows.items()}
     cells = "".join(
         f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"

@@ -13,7 +13,7 @@ from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.der import Batch, Failure, Rods
 from frogkick.effects import rods_of
-from frogkick.effects.swims import Gait, SwimTrace, gait_rods, simulate_gait_traces
+from frogkick.effects.swims import Gait, gait_rods, simulate_gait_traces
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
@@ -75,16 +75,13 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     lanes = gait_rods(rods, some, [stroke for _, _, stroke in ready])
     traces = simulate_gait_traces(lanes, some, cycles)
     for (place, gait, _), lane, trace in zip(ready, lanes, traces, strict=True):
-        swum[place] = _swim(lane.robot, gait, trace)
+        if isinstance(trace, Failure):
+            swum[place] = f"rods of {lane.robot.id!r} {trace}"
+            continue
+        speed_mps = speed_over_cycles(trace.time_s, trace.node_mean_m, gait.frequency_hz)
+        cost = cost_of_transport(lane.robot, gait.frequency_hz, speed_mps)
+        swum[place] = GaitSwim(gait, trace.time_s, trace.node_mean_m, speed_mps, cost)
     return swum
-
-
-def _swim(robot: Robot, gait: Gait, trace: SwimTrace | Failure) -> GaitSwim | str:
-    if isinstance(trace, Failure):
-        return f"rods of {robot.id!r} {trace}"
-    speed_mps = speed_over_cycles(trace.time_s, trace.node_mean_m, gait.frequency_hz)
-    cost = cost_of_transport(robot, gait.frequency_hz, speed_mps)
-    return GaitSwim(gait, trace.time_s, trace.node_mean_m, speed_mps, cost)
 
 
 def _stroke(profiles: Sequence[Profile], gait: Gait) -> Actuation | str:

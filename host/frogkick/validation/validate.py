@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -321,10 +320,8 @@ def _distinct(results: Iterable[ExperimentResult]) -> dict[Gait, list[float]]:
 def noise_of(experiments: Sequence[ExperimentResult]) -> SpeedNoise:
     """Estimate the noise of measured speeds from the measurements alone."""
     bends: list[tuple[str, float]] = []
-    for group, members in itertools.groupby(
-        sorted(experiments, key=lambda r: r.case.group), key=lambda r: r.case.group
-    ):
-        rows = list(members)
+    for group in sorted({r.case.group for r in experiments}):
+        rows = [r for r in experiments if r.case.group == group]
         by_phase = "/phase/" in group
         if not by_phase and "/freq/" not in group:
             continue

@@ -55,12 +55,15 @@ class Tracked:
 class Lost:
     """The cost of effects that no table can contain (of position, heading, time, water or camera).
 
-    It is the closed-loop performance of the table that the robot has after the retune.
+    Attributes:
+        effects: their titles.
+        with_them, without: closed-loop performance of the table that the robot has after the retune, in a
+            pool with all identified effects and in one without these.
     """
 
-    effects: tuple[str, ...]  # their titles
-    with_them: Tracked  # in a pool with all identified effects
-    without: Tracked  # and in one without these
+    effects: tuple[str, ...]
+    with_them: Tracked
+    without: Tracked
 
     def as_json(self) -> dict[str, Any]:
         """The key ``lost`` of the command."""

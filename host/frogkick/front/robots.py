@@ -149,16 +149,27 @@ def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
 
 @dataclass(frozen=True)
 class RobotHeard:
-    """A robot in Bluetooth range."""
+    """A robot in Bluetooth range.
 
-    target: str  # for ``connect`` and ``run``: ``ble:NAME``, or the address if two robots have one name
-    address: str  # in this computer's Bluetooth
+    Attributes:
+        target: target for ``connect`` and ``run``: ``ble:NAME``, or the address if two robots have one name.
+        address: its address in this computer's Bluetooth.
+        signal_dbm: strength of its signal.
+        robot: the id of the robot that its firmware is for; None if it did not answer.
+        table_crc: CRC-32 of its table.
+        state: DISARMED, ARMED, RUNNING or FAULT.
+        owned: whether it accepts commands only from its owner.
+        error: the reason why it did not answer; "" if it did.
+    """
+
+    target: str
+    address: str
     signal_dbm: int
-    robot: str | None = None  # id of the robot that its firmware is for; None if it did not answer
-    table_crc: int | None = None  # CRC-32 of its table
-    state: str | None = None  # DISARMED, ARMED, RUNNING or FAULT
-    owned: bool | None = None  # whether it accepts commands only from its owner
-    error: str = ""  # the reason why it did not answer; "" if it did
+    robot: str | None = None
+    table_crc: int | None = None
+    state: str | None = None
+    owned: bool | None = None
+    error: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """One of ``robots`` of the command ``scan``."""

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from frogkick.core.arrays import Float64
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Stage, in_stages
@@ -34,7 +35,7 @@ from frogkick.runs.record import RunOptions
 from frogkick.runs.replay import compare, replay_on_host
 from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
-from frogkick.runs.summary import Residual, residual, tracking_of_log
+from frogkick.runs.summary import residual, tracking_of_log
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.emit import emit
 from frogkick_codegen.firmware import Firmware, build
@@ -56,9 +57,9 @@ class RingRun:
         return tracking_of_log(self.log)
 
     @cached_property
-    def residual(self) -> Residual:
-        """The table's prediction errors."""
-        return residual(self.log)
+    def gap_body(self) -> Float64:
+        """(n, 3) errors of the table's predictions, see ``residual``."""
+        return residual(self.log)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,7 @@ class Ring:
     @property
     def prediction_error(self) -> PredictionError:
         """Prediction error of the table one period ahead, over all paths."""
-        return PredictionError.of(np.concatenate([run.residual.gap_body for run in self.runs]))
+        return PredictionError.of(np.concatenate([run.gap_body for run in self.runs]))
 
     @property
     def passed(self) -> bool:

@@ -56,7 +56,7 @@ def test_the_ring_leaves_every_stage_behind(round_once: tuple[Ring, Path, list[s
     assert [run.mismatches for run in ring.runs] == [0, 0]
     assert ring.chip.passed and ring.built.flash_bytes > len(ring.tables.image)
     assert ring.mean_distance_m == np.mean([run.tracking.mean_distance_m for run in ring.runs])
-    assert ring.prediction_error.count == sum(len(run.residual.time_s) for run in ring.runs) > 0
+    assert ring.prediction_error.count == sum(len(run.gap_body) for run in ring.runs) > 0
     assert {"library, tables", "C, firmware", "swim the line"} <= ring.stage_s.keys()
 
 

@@ -10,7 +10,7 @@ import pytest
 from frogkick.core.errors import InputError
 from frogkick.paths import Path, line, wrap_angle
 from frogkick.runs.runlog import Decisions, Fixes, RunLog, Strokes, Truth
-from frogkick.runs.summary import along_paths, residual, true_poses_at
+from frogkick.runs.summary import along_paths, residual, summary, true_poses_at
 
 PERIOD_S = 1.4
 
@@ -64,13 +64,14 @@ def synthetic_run(offset_body_m: tuple[float, float], turn_rad: float) -> RunLog
     ("offset", "turn"), [((0.0, 0.0), 0.0), ((0.003, -0.004), 0.1), ((-0.01, 0.0), -3.0)]
 )
 def test_residual_is_the_offset_that_was_put_in(offset: tuple[float, float], turn: float) -> None:
-    missed = residual(synthetic_run(offset, turn))
+    time_s, gap_body = residual(synthetic_run(offset, turn))
     # The pool's poses are interpolated between pictures: 20 ms on this circle make some 5 um.
-    assert np.allclose(missed.gap_body[:, :2], offset, atol=2e-5)
-    assert np.allclose(missed.gap_body[:, 2], turn, atol=1e-9)
-    assert missed.error.position_rmse_m == pytest.approx(np.hypot(*offset), abs=2e-5)
-    assert missed.error.heading_rmse_rad == pytest.approx(abs(turn), abs=1e-9)
-    assert len(missed.time_s) == len(synthetic_run(offset, turn).decisions)
+    assert np.allclose(gap_body[:, :2], offset, atol=2e-5)
+    assert np.allclose(gap_body[:, 2], turn, atol=1e-9)
+    assert len(time_s) == len(gap_body) == len(synthetic_run(offset, turn).decisions)
+    error = summary(synthetic_run(offset, turn))
+    assert error.position_rmse_m == pytest.approx(np.hypot(*offset), abs=2e-5)
+    assert error.heading_rmse_rad == pytest.approx(abs(turn), abs=1e-9)
 
 
 def test_residual_counts_only_whole_periods_with_a_prediction() -> None:
@@ -78,9 +79,9 @@ def test_residual_counts_only_whole_periods_with_a_prediction() -> None:
     assert run.truth is not None
     half = run.truth.time_s <= 5.0
     short = Truth(run.truth.time_s[half], run.truth.pose_world[half], run.truth.velocity_body[half])
-    missed = residual(dataclasses.replace(run, truth=short))
-    assert missed.time_s.max() + PERIOD_S <= 5.0
-    assert len(missed.time_s) == int((run.decisions.time_s + PERIOD_S <= short.time_s[-1]).sum())
+    time_s, _ = residual(dataclasses.replace(run, truth=short))
+    assert time_s.max() + PERIOD_S <= 5.0
+    assert len(time_s) == int((run.decisions.time_s + PERIOD_S <= short.time_s[-1]).sum())
     with pytest.raises(InputError, match="no complete period"):
         residual(dataclasses.replace(run, truth=None))
     with pytest.raises(InputError, match="no true poses"):

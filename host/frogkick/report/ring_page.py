@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from frogkick.core.poses import PredictionError
 from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
@@ -181,7 +182,7 @@ def _paths(ring: Ring) -> Section:
             "progress, mm/s": lambda run: f"{1e3 * run.tracking.progress_mps:.1f}",
             "completed": lambda run: "yes" if run.tracking.completed else f"no ({run.log.notes})",
             "decisions": lambda run: run.tracking.decisions,
-            "prediction error": lambda run: f"{run.residual.error:.1f}",
+            "prediction error": lambda run: f"{PredictionError.of(run.gap_body):.1f}",
             "chip against Python twin, mismatches": lambda run: run.mismatches,
             "guard limits violated": lambda run: run.tracking.limit_violations,
         },

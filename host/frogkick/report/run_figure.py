@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from frogkick.core.arrays import Float64
-from frogkick.core.poses import wrap_angle
+from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.report import style
 from frogkick.runs.path_change import HOLD_LIMIT_M, spans_of
 from frogkick.runs.runlog import RunLog
@@ -139,9 +139,9 @@ def _estimate(axes: Axes, run: RunLog, seen: _Seen) -> None:
 
 
 def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
-    errors = residual(run)
-    _errors(axes, errors.time_s, errors.gap_body, style.PREDICTED)
-    axes.set_title(f"Error one period ahead: {errors.error:.1f} RMS")
+    time_s, gap_body = residual(run)
+    _errors(axes, time_s, gap_body, style.PREDICTED)
+    axes.set_title(f"Error one period ahead: {PredictionError.of(gap_body):.1f} RMS")
 
 
 def _lost(axes: Axes, run: RunLog, seen: _Seen) -> None:

@@ -73,21 +73,6 @@ class Summary:
         return asdict(self)
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """Errors of the model's predictions, one row for each period with a prediction and a true end."""
-
-    time_s: Float64  # (n,) decision time
-    # (n, 3) true minus predicted pose: forward, left (m) in the body frame at the decision, and heading
-    # (rad), wrapped
-    gap_body: Float64
-
-    @property
-    def error(self) -> PredictionError:
-        """Root mean square over all rows."""
-        return PredictionError.of(self.gap_body)
-
-
 def true_poses_at(run: RunLog, time_s: ArrayLike) -> Float64:
     """(n, 3) true poses of a simulated run, interpolated; headings not wrapped."""
     if run.truth is None or len(run.truth) < 2:
@@ -98,8 +83,12 @@ def true_poses_at(run: RunLog, time_s: ArrayLike) -> Float64:
     return np.column_stack([np.interp(at, run.truth.time_s, poses[:, k]) for k in range(3)])
 
 
-def residual(run: RunLog) -> Residual:
+def residual(run: RunLog) -> tuple[Float64, Float64]:
     """Compare each prediction of a simulated run with the true pose a period later.
+
+    Returns:
+        (n,) times of the decisions with a prediction and a true end, s, and (n, 3) true minus predicted pose:
+        forward, left (m) in the body frame at the decision, and heading (rad), wrapped.
 
     Raises:
         InputError: the run has no predictions, no truth or no complete period.
@@ -115,7 +104,7 @@ def residual(run: RunLog) -> Residual:
     true_poses = true_poses_at(run, end_s[rows])
     gap = body_from_world(decisions.estimate[rows, 2], true_poses - decisions.predicted[rows, :3])
     gap[:, 2] = wrap_angle(gap[:, 2])
-    return Residual(np.array(decisions.time_s[rows]), gap)
+    return np.array(decisions.time_s[rows]), gap
 
 
 def _seen(run: RunLog) -> tuple[Float64, Float64]:
@@ -244,7 +233,7 @@ def summary(run: RunLog) -> Summary:
         # A run's own numbers end with the run, and its log has the true poses of some moments more.
         numbers |= {name: run.measured.get(name, value) for name, value in zip(names, found, strict=True)}
     if run.decisions.predicted is not None and run.truth is not None:
-        numbers |= residual(run).error.as_json()
+        numbers |= PredictionError.of(residual(run)[1]).as_json()
     usable = run.fixes.usable
     answered = run.fixes.extra.get("robot_status")
     lost = ~usable if answered is None else ~usable | (answered != 0)

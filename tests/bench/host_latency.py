@@ -74,7 +74,7 @@ def main(seconds: float) -> None:
             camera.close()
     period_s = rig.tables().period_us * 1e-6
     due_s = recording.first_decision_s + period_s * np.arange(len(recording.decisions))
-    fix_ms = 1e3 * (np.array(recording.sent_s) - [fix.capture_s for fix in recording.fixes])
+    fix_ms = 1e3 * np.array([fix.sent_s - fix.capture_s for fix in recording.fixes])
     late_ms = [1e3 * min(at_s - due for due in due_s if at_s >= due) for at_s, _ in strokes]
     for what, values in (("picture to fix sent", fix_ms), ("decision due to stroke sent", late_ms)):
         half, most = np.percentile(values, [50, 99])

@@ -31,7 +31,7 @@ from frogkick.runs.live_log import CUT_OFF, LiveLog, logged, part_of
 from frogkick.runs.record import Recording, RunOptions
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.runlog_file import read_run, write_run
-from frogkick.runs.summary import BATTERY_V, lost_of
+from frogkick.runs.summary import BATTERY_V, NO_ANSWER, lost_of
 
 PERIOD_S = rig.PERIOD_S
 OPTIONS = RunOptions(PlanConfig(), True, 1.2 * PERIOD_S)
@@ -144,9 +144,8 @@ def test_a_decision_in_a_log_that_is_cut_off_has_the_fixes_before_it(
 ) -> None:
     """Answers to fixes that are in the file already are written before the decisions that used them."""
     recording, seen, flush = rig.swim("pool", PATH, 4.0), dict[int, bool](), h5py.Dataset.flush
-    sent = replace(recording, decisions=[], capture_us=[], fix_status=[], heard=[])
-    for answers in (sent.capture_us, sent.fix_status, sent.heard):
-        answers += [None] * len(sent.fixes)
+    unheard = {"robot_capture_us": -1, "robot_status": NO_ANSWER, "heard_us": -1, "heard_after": -1}
+    sent = replace(recording, decisions=[], fixes=[replace(fix, **unheard) for fix in recording.fixes])
 
     def flush_and_look(data: h5py.Dataset) -> None:
         flush(data)

@@ -67,7 +67,7 @@ def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytes
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
     assert recording.ended == TIME and len(recording.decisions) == 3
     assert any(decision.status == 0 for decision in recording.decisions)
-    assert recording.fix_status.count(0) > 20
+    assert sum(fix.robot_status == 0 for fix in recording.fixes) > 20
     assert len(robot.pulses) >= 3 and violations(rig.robot(), seen_pulses(robot.pulses)) == []
     tracked = recording.tracking()
     assert tracked.mean_distance_m < 0.02 and tracked.progress_mps > 0.005
@@ -132,7 +132,7 @@ def test_a_run_goes_on_through_a_drop(
         )
         assert there.wire.connections == 2
     assert recording.ended == TIME and len(recording.decisions) == 2
-    assert recording.fix_status.count(0) > 20
+    assert sum(fix.robot_status == 0 for fix in recording.fixes) > 20
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)

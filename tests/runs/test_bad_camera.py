@@ -43,7 +43,7 @@ def log_of(place: str, onboard: bool = True) -> RunLog:
 def test_every_decision_on_board_is_the_twins(place: str) -> None:
     recording = run(place)
     assert len(recording.decisions) >= 9
-    assert {0, STATUS["DOUBLE"], STATUS["OUTLIER"]} <= set(recording.fix_status)
+    assert {0, STATUS["DOUBLE"], STATUS["OUTLIER"]} <= {fix.robot_status for fix in recording.fixes}
     again = replay_on_host(
         recording.events, DecisionTwin(rig.tables(), shape("ellipse"), recording.options.config)
     )
@@ -64,12 +64,13 @@ def test_the_state_at_decision_time_is_near_the_truth(onboard: bool) -> None:
 def test_fixes_lost_are_those_that_the_robot_refused() -> None:
     recording = run("pool")
     tracked = recording.tracking()
-    refused = [status for status in recording.fix_status if status is not None and status < 0]
+    refused = [fix.robot_status for fix in recording.fixes if fix.robot_status < 0]
     assert tracked.fixes_lost == recording.fixes_refused
     assert len(refused) <= tracked.fixes_lost <= len(refused) + 3, (
         "a last one or so is answered after the run"
     )
-    assert sum(us is not None for us in recording.capture_us) == recording.fix_status.count(0) > 100
+    taken = sum(fix.robot_status == 0 for fix in recording.fixes)
+    assert sum(fix.robot_capture_us >= 0 for fix in recording.fixes) == taken > 100
 
 
 @pytest.mark.parametrize("place", ["virtual", "pool"])

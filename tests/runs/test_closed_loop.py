@@ -16,7 +16,7 @@ from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.monitor import pulses_of
 from frogkick.runs.closed_loop import require_time
 from frogkick.runs.decision import Decision, DecisionTwin, RobotEvent
-from frogkick.runs.record import Recording, RunOptions, config_of_log
+from frogkick.runs.record import Recording, RunOptions, SentFix, config_of_log
 from frogkick.runs.replay import compare, replay_on_host
 
 SHORT_S = 9.0
@@ -126,7 +126,6 @@ def test_lost_fixes_end_the_run(onboard: bool) -> None:
 
 
 def test_a_lost_robot_is_disarmed() -> None:
-    from frogkick.core.poses import Fix
     from frogkick.link.layout import link_layout
     from frogkick.runs.session import Session
 
@@ -191,13 +190,14 @@ def test_a_decision_names_its_fix_also_after_their_numbers_began_anew() -> None:
     """
     recording = rig.recording(shape("line"), RunOptions(PlanConfig(depth=1)))
     numbers = [*range(100), 99, *range(100, 1000), *range(1000, 140_000, 2)]
-    recording.fixes += [Fix(n / 15, 0.08, 0.0, 0.0, 0.0, sequence=n & 0xFFFF) for n in numbers]
-    recording.sent_s += [fix.arrival_s for fix in recording.fixes]
+    recording.fixes += [
+        SentFix(n / 15, 0.08, 0.0, 0.0, 0.0, n / 15 + 0.08, sequence=n & 0xFFFF) for n in numbers
+    ]
     rows = [3, 99, 30_000, 40_000, 66_500, 70_400]
     for drift in (0.0, -8e-4, 8e-4):
         recording.decisions = [
-            Decision(0, 0, round(1e6 * (1.0 + drift) * at_s) + 2000, fix.sequence, fixes=3)
-            for at_s, fix in ((recording.sent_s[row], recording.fixes[row]) for row in rows)
+            Decision(0, 0, round(1e6 * (1.0 + drift) * fix.sent_s) + 2000, fix.sequence, fixes=3)
+            for fix in (recording.fixes[row] for row in rows)
         ]
         assert recording.decision_columns().fix_sequence.tolist() == rows, drift
     assert recording.decision_columns(3).fix_sequence.tolist() == rows[3:], "of a log in progress"

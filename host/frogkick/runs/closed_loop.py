@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -33,7 +33,7 @@ from frogkick.runs.decision import (
     events_of_frame,
 )
 from frogkick.runs.path_change import Holding, PathChanges, PathSender
-from frogkick.runs.record import Recording, RunOptions
+from frogkick.runs.record import Recording, RunOptions, SentFix
 from frogkick.runs.session import LinkError, Session
 from frogkick.runs.summary import no_fresh_fix
 from frogkick.tables.image import Tables
@@ -338,13 +338,13 @@ class _Run:
         if self.options.check is not None:
             self.options.check.compare(events, decision, self.session.gaps + self._late_answers)
         if frame.name == "FIX":
-            row = self._unanswered.pop(frame.sequence)
-            recording.fix_status[row] = int(values["status"])
+            fix = recording.fixes[self._unanswered.pop(frame.sequence)]
+            fix.robot_status = int(values["status"])
             if self.options.onboard and events:
-                recording.heard[row] = events[0].time_us, len(recording.decisions)
-            if values["status"] == 0:
-                recording.capture_us[row] = int(values["capture_us"])
-                self.session.check_clock_sync(recording.fixes[row].capture_s, int(values["capture_us"]))
+                fix.heard_us, fix.heard_after = events[0].time_us, len(recording.decisions)
+            if fix.robot_status == 0:
+                fix.robot_capture_us = int(values["capture_us"])
+                self.session.check_clock_sync(fix.capture_s, fix.robot_capture_us)
             elif values["status"] == link_layout().status["FAULT"]:
                 self._raise_fault()
         elif frame.name == "STROKE" and values["status"] == link_layout().status["STATE"]:
@@ -394,15 +394,11 @@ class _Run:
         for fix in fixes if self._is_configured else ():
             recording = self.recording
             # An arrival is a sum of floats, which may be a rounding error before the previous one.
-            at_s = max(until_s, fix.arrival_s, *recording.sent_s[-1:])
+            at_s = max(until_s, fix.arrival_s, *(before.sent_s for before in recording.fixes[-1:]))
             sequence = self.session.post_fix(fix, at_s)
             self._unanswered[sequence] = len(recording.fixes)
-            recording.fixes.append(fix)
-            recording.sent_s.append(at_s)
-            recording.capture_us.append(None)
-            recording.fix_status.append(None)
-            recording.heard.append(None)
+            sent = SentFix(**asdict(fix), sent_s=at_s)
+            recording.fixes.append(sent)
             if not self.options.onboard:
-                capture_us = round(fix.capture_s * 1e6)
-                recording.heard[-1] = capture_us, len(recording.decisions)
-                self.twin.add_fix(capture_us, fix.pose_world, fix.sequence)
+                sent.heard_us, sent.heard_after = round(fix.capture_s * 1e6), len(recording.decisions)
+                self.twin.add_fix(sent.heard_us, fix.pose_world, fix.sequence)

@@ -21,6 +21,7 @@ from frogkick.core.interrupts import Bell
 from frogkick.runs.record import Recording
 from frogkick.runs.runlog import Decisions, Fixes, PathChange, RunLog
 from frogkick.runs.runlog_file import fill
+from frogkick.runs.summary import NO_ANSWER
 
 CHUNK_ROWS = 256
 GATHER_S = 0.02
@@ -76,12 +77,15 @@ class LiveLog:
         if self._error is not None:
             raise self._full() from self._error
         writes: list[_Rows] = []
-        status, count = recording.fix_status, len(recording.fixes)
-        first = min([self._fixes, *(row for row in self._unanswered if status[row] is not None)])
+        fixes, count = recording.fixes, len(recording.fixes)
+        first = min([self._fixes, *(row for row in self._unanswered if fixes[row].robot_status != NO_ANSWER)])
         if first < count:
             writes += _rows(recording.fix_columns(first), first)
         waiting = [*self._unanswered, *range(self._fixes, count)][-CHUNK_ROWS:]
-        self._fixes, self._unanswered = count, [row for row in waiting if status[row] is None]
+        self._fixes, self._unanswered = (
+            count,
+            [row for row in waiting if fixes[row].robot_status == NO_ANSWER],
+        )
         rested, count = list(recording.rested), len(recording.decisions)
         first = min([self._decisions, *rested[self._rested :]])
         if first < count:

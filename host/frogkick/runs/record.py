@@ -37,7 +37,7 @@ from frogkick.runs.runlog import (
     Tracking,
     Truth,
 )
-from frogkick.runs.summary import LEARN, LOST, along_paths
+from frogkick.runs.summary import LEARN, LOST, NO_ANSWER, along_paths
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
@@ -48,8 +48,8 @@ ANEW_S = 60.0
 """Two fixes with one number are one fix that came twice if they are less apart: the 65,536 numbers last
 longer, even at 1000 Hz. The clocks of robot and session agree better than this, too."""
 
-UNKNOWN = (-1, -1)
-"""Values of ``heard_*`` for a fix that was not received, and of ``rested_*`` for a stroke that was fired."""
+FIRED = (-1, -1)
+"""Values of ``rested_*`` for a stroke that was fired."""
 
 _REQUIRED = (*list(WEIGHTS)[:4], "depth")
 """Planner settings that every log has; older logs lack the others, which keep their defaults."""
@@ -73,6 +73,24 @@ class RunOptions:
     hold_m: float | None = None
 
 
+@dataclass(slots=True)
+class SentFix(Fix):
+    """A fix that was sent to the robot, and what became of it; -1: unknown."""
+
+    sent_s: float  # session time
+    robot_capture_us: int = -1  # capture time on the robot's clock; -1 if the robot refused it
+    robot_status: int = NO_ANSWER  # the robot's answer (``frames.toml``)
+    # heard_us, heard_after: capture time, us, on the planner's clock (robot or host), and the number of
+    # decisions before it; -1: the estimator did not receive it
+    heard_us: int = -1
+    heard_after: int = -1
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the robot has answered."""
+        return self.robot_status != NO_ANSWER
+
+
 @dataclass
 class Recording:
     """A run: its path and settings, and everything that has happened so far.
@@ -90,16 +108,7 @@ class Recording:
     known: Mapping[str, float] = field(default_factory=dict)
     made: Mapping[str, str] = field(default_factory=dict)
     pool: Pool | None = None  # the simulated pool, which knows the true poses; None: a real run
-    # fixes, sent_s: fixes in the order of sending, and when each was sent, session time
-    fixes: list[Fix] = field(default_factory=list)
-    sent_s: list[float] = field(default_factory=list)
-    # capture time of each fix on the robot's clock; None if the robot refused it
-    capture_us: list[int | None] = field(default_factory=list)
-    # the robot's answer to each fix (``frames.toml``); None if no answer came
-    fix_status: list[int | None] = field(default_factory=list)
-    # of each fix its capture time, us, on the planner's clock (robot or host), and the number of decisions
-    # before it; None: the estimator did not receive it
-    heard: list[tuple[int, int] | None] = field(default_factory=list)
+    fixes: list[SentFix] = field(default_factory=list)  # in the order of sending
     # inputs of the robot's estimator and planner, in its order: they reproduce its decisions
     events: list[RobotEvent] = field(default_factory=list)
     # index of a decision whose stroke the guard refused -> time from which the robot rested instead, us, on
@@ -127,7 +136,7 @@ class Recording:
         failed = np.array([d.status != 0 for d in decisions], dtype=bool)
         planned = np.where(failed, np.nan, 1.0)
         rows = range(first, first + len(decisions))
-        rested = np.array([self.rested.get(row, UNKNOWN) for row in rows], dtype=np.int64).reshape(-1, 2)
+        rested = np.array([self.rested.get(row, FIRED) for row in rows], dtype=np.int64).reshape(-1, 2)
 
         def integers(name: str) -> np.ndarray:
             return np.array([getattr(d, name) for d in decisions], dtype=np.int64)
@@ -160,12 +169,12 @@ class Recording:
         Numbers of fixes begin anew after 65,536, so one of them stands for the last fix that had it.
         """
         found, rows = [], dict[int, int]()
-        row = bisect_left(self.sent_s, time_s[0] - ANEW_S) if time_s else 0
+        row = bisect_left(self.fixes, time_s[0] - ANEW_S, key=lambda fix: fix.sent_s) if time_s else 0
         for decision, at_s in zip(decisions, time_s, strict=True):
-            while row < len(self.fixes) and self.sent_s[row] <= at_s + ANEW_S:
-                before = rows.setdefault(self.fixes[row].sequence, row)
-                if self.sent_s[row] - self.sent_s[before] > ANEW_S:
-                    rows[self.fixes[row].sequence] = row
+            while row < len(self.fixes) and (fix := self.fixes[row]).sent_s <= at_s + ANEW_S:
+                before = rows.setdefault(fix.sequence, row)
+                if fix.sent_s - self.fixes[before].sent_s > ANEW_S:
+                    rows[fix.sequence] = row
                 row += 1
             found.append(rows.get(decision.fix_sequence, -1) if decision.fixes else -1)
         return found
@@ -175,27 +184,16 @@ class Recording:
         fixes = self.fixes[first:]
         poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64).reshape(-1, 3)
         count = len(fixes)
-        heard = np.array([one or UNKNOWN for one in self.heard[first:]], dtype=np.int64).reshape(-1, 2)
+        known = ("sequence", "robot_capture_us", "robot_status", "heard_us", "heard_after")
         return Fixes(
-            time_s=np.array(self.sent_s[first:]),
+            time_s=np.array([fix.sent_s for fix in fixes]),
             capture_time_s=np.array([fix.capture_s for fix in fixes]),
             x_m=poses[:, 0],
             y_m=poses[:, 1],
             heading_rad=wrap_angle(poses[:, 2]),
             quality=np.ones(count, dtype=np.uint8),
             flags=np.zeros(count, dtype=np.uint16),
-            extra={
-                "sequence": np.array([fix.sequence for fix in fixes], dtype=np.int64),
-                # -1: the robot refused the fix; status 1: it gave no answer.
-                "robot_capture_us": np.array(
-                    [-1 if us is None else us for us in self.capture_us[first:]], dtype=np.int64
-                ),
-                "robot_status": np.array(
-                    [1 if status is None else status for status in self.fix_status[first:]], dtype=np.int64
-                ),
-                "heard_us": heard[:, 0],
-                "heard_after": heard[:, 1],
-            },
+            extra={name: np.array([getattr(fix, name) for fix in fixes], dtype=np.int64) for name in known},
         )
 
     def log(self) -> RunLog:
@@ -252,7 +250,7 @@ class Recording:
     def tracking(self) -> Tracking:
         """How well the path was followed, by the true poses of a simulated pool or by the fixes."""
         if self.pool is None:
-            taken = [f for f, status in zip(self.fixes, self.fix_status, strict=True) if status == 0]
+            taken = [fix for fix in self.fixes if fix.robot_status == 0]
             time_s = np.array([fix.capture_s for fix in taken])
             poses = np.array([fix.pose_world for fix in taken], dtype=np.float64).reshape(-1, 3)
         else:

@@ -344,7 +344,9 @@ def _fired_before(run: RunLog) -> list[int]:
     return masks
 
 
-_NO_ANSWER = 1
+NO_ANSWER = 1
+"""In ``robot_status`` of a fix: the robot gave no answer."""
+
 REFUSED = {
     "OUTLIER": "they are too far from where the robot can be, and from one another by more than "
     f"{1e3 * OUTLIERS_AGREE_M:g} mm and {OUTLIERS_AGREE_MPS:g} m/s: the fixes are of something else, or "
@@ -359,7 +361,7 @@ REFUSED = {
 def refused_fixes(run: RunLog) -> str:
     """Return why the robot refused the last fixes that it answered; "" if it accepted the last one."""
     answered = run.fixes.extra.get("robot_status")
-    status = [] if answered is None else [int(one) for one in answered if one != _NO_ANSWER]
+    status = [] if answered is None else [int(one) for one in answered if one != NO_ANSWER]
     accepted = [row for row, one in enumerate(status) if one == 0]
     last = status[accepted[-1] + 1 if accepted else 0 :]
     if not last:

@@ -191,7 +191,7 @@ def test_a_decision_names_its_fix_also_after_their_numbers_began_anew() -> None:
     recording = rig.recording(shape("line"), RunOptions(PlanConfig(depth=1)))
     numbers = [*range(100), 99, *range(100, 1000), *range(1000, 140_000, 2)]
     recording.fixes += [
-        SentFix(n / 15, 0.08, 0.0, 0.0, 0.0, n / 15 + 0.08, sequence=n & 0xFFFF) for n in numbers
+        SentFix(n / 15, 0.08, 0.0, 0.0, 0.0, sent_s=n / 15 + 0.08, sequence=n & 0xFFFF) for n in numbers
     ]
     rows = [3, 99, 30_000, 40_000, 66_500, 70_400]
     for drift in (0.0, -8e-4, 8e-4):

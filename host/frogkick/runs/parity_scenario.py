@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick.core.poses import Fix
 from frogkick.link.layout import link_layout
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig, plan
@@ -19,6 +18,7 @@ from frogkick.pool.chip import VirtualChip
 from frogkick.pool.chip.image import Layouts
 from frogkick.pool.native_robot import COLD_LIMBS, CoreCall, NativeRobot
 from frogkick.runs.decision import Decision, DecisionTwin, RobotEvent
+from frogkick.runs.record import SentFix
 from frogkick.runs.replay import Schedule, compare, replay_on_host, replay_onboard
 from frogkick.runs.runlog import PathChange
 from frogkick.tables.image import Tables
@@ -80,11 +80,12 @@ def schedule_fixes(
                 if rng.random() < 0.9
                 else rng.choice([0.3, 0.6, 1.9]) * rng.uniform(0.5, 1.0)
             )
-            fix = Fix(capture_s, delay_s, *pose.tolist(), sequence=sequence & 0xFFFF)
+            sent_s, number = capture_s + delay_s, sequence & 0xFFFF
+            fix = SentFix(capture_s, delay_s, *pose.tolist(), sent_s=sent_s, sequence=number)
             fixes += [fix] * (2 if rng.random() < 0.05 else 1)
         state = start if made.path_index + 1 >= len(path) else ahead
-    arrivals = sorted(((fix.arrival_s, fix) for fix in fixes), key=lambda arrival: arrival[0])
-    return Schedule(arrivals, round(FIRST_S * 1e6), tables.period_us, decisions)
+    fixes.sort(key=lambda fix: fix.sent_s)
+    return Schedule(fixes, round(FIRST_S * 1e6), tables.period_us, decisions)
 
 
 def record_scenario(

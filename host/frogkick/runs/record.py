@@ -73,7 +73,7 @@ class RunOptions:
     hold_m: float | None = None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class SentFix(Fix):
     """A fix that was sent to the robot, and what became of it; -1: unknown."""
 

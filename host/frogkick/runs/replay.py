@@ -27,6 +27,7 @@ from frogkick.runs.decision import (
     events_of_frame,
 )
 from frogkick.runs.path_change import PathSender
+from frogkick.runs.record import SentFix
 from frogkick.runs.recorded.importer import clock_problem
 from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session, fix_values
@@ -64,7 +65,8 @@ class Replay:
 class Schedule:
     """A run on the robot's clock."""
 
-    fixes: list[tuple[float, Fix]]  # (arrival, fix), robot time in s, in order of arrival
+    # in order of arrival, robot time; without ``heard_*``: heard by their times
+    fixes: list[SentFix]
     # first_us, period_us, decisions: time of the first decision, period, and number of decisions
     first_us: int
     period_us: int
@@ -74,19 +76,16 @@ class Schedule:
     strokes: tuple[int | None, ...] = ()
     # decision whose stroke the guard refused -> time from which the robot rested, us; number of fixes before
     rested: Mapping[int, tuple[int, int]] = field(default_factory=dict)
-    # of each fix its capture time, us, and the number of decisions before it; (): by the fixes' times
-    heard: tuple[tuple[int, int], ...] = ()
 
     def decided_us(self, index: int) -> int:
         """Time of a decision."""
         return self.first_us + index * self.period_us
 
-    def heard_of(self, row: int) -> tuple[int, int]:
+    def heard_of(self, fix: SentFix) -> tuple[int, int]:
         """Capture time of a fix, us, and the number of decisions before it."""
-        if self.heard:
-            return self.heard[row]
-        arrival_s, fix = self.fixes[row]
-        before = -((self.first_us - round(arrival_s * 1e6)) // self.period_us)
+        if fix.heard_after >= 0:
+            return fix.heard_us, fix.heard_after
+        before = -((self.first_us - round(fix.sent_s * 1e6)) // self.period_us)
         return round(fix.capture_s * 1e6), max(0, before)
 
 
@@ -121,7 +120,7 @@ def _schedule(run: RunLog, tables: Tables) -> Schedule:
     is_exact = bool(known.any()) and "heard_after" in extra and "scheduled_us" in run.decisions.extra
     used = known if is_exact else run.fixes.usable
     later_us = first_us - int(run.decisions.extra["scheduled_us"][0]) if is_exact else 0
-    fixes, heard = [], []
+    fixes: list[SentFix] = []
     # The robot recognises a duplicate by its number and pose.
     numbers = extra.get("sequence", np.arange(len(run.fixes)))
     poses = run.fixes.pose_world
@@ -129,11 +128,11 @@ def _schedule(run: RunLog, tables: Tables) -> Schedule:
         pose = poses[row].tolist()
         arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
         capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
-        fixes.append(
-            (arrival_s, Fix(capture_s, arrival_s - capture_s, *pose, sequence=int(numbers[row]) & 0xFFFF))
-        )
+        number = int(numbers[row]) & 0xFFFF
+        fixes.append(SentFix(capture_s, arrival_s - capture_s, *pose, sent_s=arrival_s, sequence=number))
         if is_exact:
-            heard.append((int(heard_us[row]) + later_us, int(extra["heard_after"][row])))
+            fixes[-1].heard_us = int(heard_us[row]) + later_us
+            fixes[-1].heard_after = int(extra["heard_after"][row])
     numbered = {action.name: number for number, action in enumerate(tables.actions)}
     strokes = tuple(numbered.get(name) for name in run.decided(unseen=""))
     period_us = round(run.period_s * 1e6)
@@ -142,7 +141,7 @@ def _schedule(run: RunLog, tables: Tables) -> Schedule:
         rested_us, after = (run.decisions.extra[name] for name in ("rested_us", "rested_after"))
         for index in np.flatnonzero(rested_us >= 0).tolist():
             rested[index] = int(rested_us[index]) + later_us, int(np.count_nonzero(used[: after[index]]))
-    return Schedule(fixes, first_us, period_us, len(run.decisions), run.then, strokes, rested, tuple(heard))
+    return Schedule(fixes, first_us, period_us, len(run.decisions), run.then, strokes, rested)
 
 
 def replay(
@@ -211,8 +210,8 @@ def _events_of(schedule: Schedule) -> list[RobotEvent]:
     ordered: list[tuple[tuple[int, int, float], RobotEvent]] = []
     for change in schedule.then:  # its time of arrival is not known: directly after the previous decision
         ordered.append(((change.decision, 0, 0), RobotEvent(0, path=change.path)))
-    for row, (_, fix) in enumerate(schedule.fixes):
-        capture_us, before = schedule.heard_of(row)
+    for row, fix in enumerate(schedule.fixes):
+        capture_us, before = schedule.heard_of(fix)
         ordered.append(((before, 1, row), RobotEvent(capture_us, fix.pose_world, fix.sequence)))
     for index in range(schedule.decisions):
         at_us = schedule.decided_us(index)
@@ -295,8 +294,8 @@ def replay_onboard(
     configure(session, config, learn)
     session.set_parameters({"PERIOD_US": schedule.period_us})
     session.send_path(path)
-    waiting = [(*fix, *schedule.heard_of(row)) for row, fix in enumerate(schedule.fixes)]
-    line = _Line(session) if schedule.heard else None
+    waiting = [(fix, *schedule.heard_of(fix)) for fix in schedule.fixes]
+    line = _Line(session) if any(fix.heard_after >= 0 for fix in schedule.fixes) else None
     poses: dict[int, Float32] = {}
     sender, changes = PathSender(session), list(schedule.then)
     events: list[RobotEvent] = []
@@ -305,13 +304,13 @@ def replay_onboard(
 
     def due_s() -> float:
         """Time at which to send the next fix: at its arrival, and between the right decisions."""
-        arrival_s, _, capture_us, before = waiting[0]
+        fix, capture_us, before = waiting[0]
         if line is None:
-            return arrival_s
+            return fix.sent_s
         if running and len(decisions) < before:
             return math.inf
         latest_us = schedule.decided_us(before) - _AHEAD_US
-        return max(min(arrival_s, latest_us * 1e-6), capture_us * 1e-6)
+        return max(min(fix.sent_s, latest_us * 1e-6), capture_us * 1e-6)
 
     while len(decisions) < schedule.decisions:
         next_us = schedule.first_us + len(decisions) * schedule.period_us
@@ -325,7 +324,7 @@ def replay_onboard(
         next_s = due_s() if waiting else session.time_s + STEP_S
         session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
         while waiting and due_s() <= session.time_s:
-            _, fix, capture_us, _ = waiting.pop(0)
+            fix, capture_us, _ = waiting.pop(0)
             if line is None:
                 sequence = session.post_fix(fix, session.time_s)
             else:

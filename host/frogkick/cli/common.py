@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import typer
-from rich.console import Console
 
 from frogkick.core.chunks import check_cluster
 from frogkick.core.errors import InputError
 from frogkick.core.files import UnwritableError, save_result
-
-stderr = Console(stderr=True)
+from frogkick.core.progress import tell_line
 
 
 def _plain(value: Any) -> Any:
@@ -70,7 +68,7 @@ def text_lines(values: Mapping[str, Any], indent: str = "") -> list[str]:
 
 def say(text: str) -> None:
     """Print one line to stderr, so that stdout can be piped."""
-    stderr.print(f"frogkick: {text}", markup=False, highlight=False, soft_wrap=True)
+    tell_line(f"frogkick: {text}")
 
 
 def say_left_out(rows: Sequence[Mapping[str, str]]) -> None:

@@ -18,7 +18,8 @@ else:
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import Result, stderr
+from frogkick.cli.common import Result
+from frogkick.core.progress import tell_line
 
 
 @contextmanager
@@ -68,9 +69,7 @@ class Keys:
             return
         while self._read():
             pass
-        stderr.print(
-            "press Enter to arm the robot or Ctrl-C to leave; any key stops the run", highlight=False
-        )
+        tell_line("press Enter to arm the robot or Ctrl-C to leave; any key stops the run")
         while not {b"\r", b"\n"} & set(self._read(wait=True)):
             pass
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +9,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli import options as opt
-from frogkick.cli.common import Result
+from frogkick.cli.common import Result, say
 from frogkick.core.files import require_writable
 from frogkick.report.style import write_picture
 
@@ -181,7 +180,7 @@ def show_robot(
 
         write_picture(robot_figure(described), out)
     for warning in facts["warnings"]:
-        print(f"frogkick: warning: {warning}", file=sys.stderr)
+        say(f"warning: {warning}")
     return Result({**facts, "out": out and str(out)}, _robot_lines(described, facts))
 
 

@@ -12,7 +12,7 @@ import typer
 from frogkick.cli import options as opt
 from frogkick.cli.common import Result, json_text, text_lines
 from frogkick.core.errors import InputError
-from frogkick.core.files import require_writable, write_text
+from frogkick.core.files import write_text
 
 FamilyOption = Annotated[str, "Tag family: tag36h11, or tagStandard41h12 (needs the extra 'apriltag')."]
 TagIdOption = Annotated[int, "Number of the tag in its family."]
@@ -91,7 +91,6 @@ def calibrate(
     """
     from frogkick.front.cameras import Board, Tag, calibrate_camera
 
-    require_writable(out)
     tag = Tag(
         family=tag_family,
         id=tag_id,
@@ -141,7 +140,7 @@ def check(
     wave_mm: Annotated[float, "Standard deviation of the rendered tag's heave."] = 0.0,
     limit_mm: Annotated[float, "Largest position error allowed.", opt.With(0.0)] = 1.0,
     limit_deg: Annotated[float, "Largest heading error allowed.", opt.With(0.0)] = 0.5,
-    out: Annotated[Path | None, "Folder for error_map.json and error_map.png."] = None,
+    out: Annotated[Path | None, "Folder for error_map.json and error_map.png.", opt.With(folder=True)] = None,
     seed: opt.Seed = 0,
 ) -> Result:
     """Map the position errors over the pool, in mm.
@@ -152,7 +151,6 @@ def check(
     """
     from frogkick.front.cameras import Conditions, check_camera
 
-    require_writable(out, folder=True)
     rendering: dict[str, Any] = {}
     if points is None and places is None:
         rendering["tags"] = _whole_pair(grid, "--grid")
@@ -209,7 +207,6 @@ def picture(out: Annotated[Path, "Picture to write (.png or .jpg)."], source: So
     """
     from frogkick.front.cameras import take_picture
 
-    require_writable(out)
     width_px, height_px = take_picture(out, source)
     return Result({"out": str(out), "image_px": [width_px, height_px]})
 
@@ -223,7 +220,6 @@ def tag_page(
     """Write a page with the tag at true scale, an arrow that points forward, and a ruler."""
     from frogkick.front.cameras import write_tag
 
-    require_writable(out)
     width_m, height_m = write_tag(out, family=tag_family, tag_id=tag_id, size_m=tag_size_mm / 1e3)
     page_mm = [1e3 * width_m, 1e3 * height_m]
     return Result({"out": str(out), "page_mm": page_mm, "tag_size_mm": tag_size_mm})

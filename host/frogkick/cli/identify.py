@@ -12,7 +12,6 @@ import frogkick as fk
 from frogkick.cli import options as opt
 from frogkick.cli.common import Result, save, say_left_out, undone
 from frogkick.cli.robots import text_of
-from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
     from frogkick.front.identifying import Horizon, Outcome
@@ -105,8 +104,6 @@ def identify(
     laws: opt.Laws = True,
 ) -> Result:
     """Identify the physical effects that a robot's model lacks. The exit code is 0 for any verdict."""
-    for target in (out, predictions, report):
-        require_writable(target)
     found = opt.call(fk.identify, locals(), runs=train, progress=True)
     say_left_out(found.outcome.left_out)
     save(found.robot.save, out)
@@ -150,7 +147,9 @@ def retune(
         "TOML file or built-in name that the robot's table was made from.",
         opt.With(names=opt.FILE),
     ],
-    out: Annotated[Path, "New folder for the robot's TOML file, library, table and firmware."],
+    out: Annotated[
+        Path, "New folder for the robot's TOML file, library, table and firmware.", opt.With(folder=True)
+    ],
     tables: Annotated[
         Path | None, "Table image that the robot carries (.fkt), to compare with; default: made from --robot."
     ] = None,

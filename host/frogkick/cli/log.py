@@ -29,9 +29,7 @@ def show_run(
 ) -> Iterator[Result]:
     """Show a run in numbers and in one picture: track, distance, actions and prediction errors."""
     moving = out is not None and out.suffix.lower() in (".gif", ".mp4")
-    if moving:
-        require_writable(out)
-    else:
+    if not moving:
         _require_picture(out, ", .gif or .mp4")
     log = fk.load_run(run)
     found = log.summary()
@@ -77,7 +75,7 @@ def compare(
 
 def export(
     run: RunArgument,
-    out: Annotated[Path, "File to write (.mcap), or folder for CSV."],
+    out: Annotated[Path, "File to write (.mcap), or folder for CSV.", opt.With(folder=None)],
     csv: Annotated[bool, "Write one CSV file for each group of columns."] = False,
     mcap: Annotated[bool, "Write one MCAP file for Foxglove, and a layout."] = False,
 ) -> Result:
@@ -98,8 +96,7 @@ def export(
 
 
 def _require_picture(out: Path | None, moving: str = "") -> None:
-    """Raises InputError: the picture cannot be written there, or its name ends otherwise than in .png."""
-    require_writable(out)
+    """Raise InputError if the name of the picture ends otherwise than in .png."""
     if out is not None and out.suffix.lower() != ".png":
         raise InputError(f"--out {str(out)!r} does not end in .png{moving}: name the picture so")
 
@@ -117,7 +114,7 @@ def import_(
         Path,
         typer.Argument(help="Folder of recorded runs and their paths, such as line1.csv and linep1.csv."),
     ],
-    out: Annotated[Path, "Folder for the logs."],
+    out: Annotated[Path, "Folder for the logs.", opt.With(folder=True)],
 ) -> Result:
     """Read recorded runs, repair or mark their faults, and write logs. No data is invented."""
     from frogkick.front.logs import import_runs

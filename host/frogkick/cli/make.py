@@ -15,7 +15,7 @@ import frogkick as fk
 from frogkick.cli import options as opt
 from frogkick.cli.common import Result, require_one_place, save, say
 from frogkick.core.errors import InputError
-from frogkick.core.files import require_writable, write_text
+from frogkick.core.files import write_text
 from frogkick.core.progress import progress_bar
 
 LibraryArgument = Annotated[Path, typer.Argument(help="HDF5 file that 'library build' wrote.")]
@@ -67,7 +67,6 @@ def simulate(
 ) -> Result:
     """Simulate a gait or a sequence of actions of a robot."""
     described = fk.load_robot(robot)
-    require_writable(out)
     if out is not None and out.suffix.lower() not in (".csv", ".txt", ""):
         raise InputError(
             f"--out {str(out)!r} ends in {out.suffix!r}, but a swim is written as CSV: give a name in .csv"
@@ -76,7 +75,6 @@ def simulate(
         from frogkick.report.animation import require_animation_name
 
         require_animation_name(animation)
-        require_writable(animation)
     egain = described.egain_percent if egain_percent is None else egain_percent
     frequency = described.profile_frequency_hz if frequency_hz is None else frequency_hz
     of_gaits = (egain_percent, frequency_hz) != (None, None) or (phase, cycles) != (PHASE, CYCLES)
@@ -135,7 +133,6 @@ def build_library(
 ) -> Result:
     """Simulate every action from each of many initial velocities. An interrupted build can be resumed."""
     described = fk.load_robot(robot)
-    require_writable(out)
     require_one_place(workers, cluster)
     began = time.perf_counter()
     made = opt.call(fk.build_library, locals(), robot=described, progress=True)
@@ -182,7 +179,6 @@ def build_table(
 ) -> Result:
     """Make a table image, and measure its error on states that are not in it."""
     content = fk.load_library(library)
-    require_writable(out)
     table = fk.fit_table(content, kind.value if kind else None, budget_kib, progress=True)
     error = table.error(test_states, seed, content.sampling, progress=True)
     save(table.save, out)
@@ -220,7 +216,7 @@ def show_table(
 
 def codegen(
     tables: TableArgument,
-    out: Annotated[Path, "Folder to write."],
+    out: Annotated[Path, "Folder to write.", opt.With(folder=True)],
     robot: opt.Model = None,
     measured: Annotated[
         bool,
@@ -232,7 +228,6 @@ def codegen(
 
     The planner's weights and depth are those of the robot's file.
     """
-    require_writable(out, folder=True)
     files = fk.emit_c(tables, out, robot=robot, measure=measured, progress=True)
     return Result({"out": str(out), "files": files}, [f"{files[name]}  {name}" for name in sorted(files)])
 
@@ -241,10 +236,9 @@ def build_firmware(
     tables: Annotated[Path, "Table image (.fkt)."],
     target: Annotated[Target, "bench: nRF52832; native: this computer."] = Target.bench,
     robot: opt.Model = None,
-    out: Annotated[Path, "Folder for the results."] = Path("firmware-build"),
+    out: Annotated[Path, "Folder for the results.", opt.With(folder=True)] = Path("firmware-build"),
 ) -> Result:
     """Build the firmware around a table image. The value stack_bytes is the stack that the image reserves."""
-    require_writable(out, folder=True)
     built = fk.build_firmware(fk.load_table(tables, robot), target.value, out)
     return Result(built.as_json())
 

@@ -17,6 +17,7 @@ import typer
 
 from frogkick.cli.common import Result, show, tells_undone
 from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable
 
 PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
 PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
@@ -32,6 +33,7 @@ class With:
     names: tuple[str, ...] = ()
     metavar: str | None = None
     show_default: bool = True
+    folder: bool | None = False  # whether what is written is a folder; None: the command checks it
 
 
 FILE = ("--robot", "--model")
@@ -136,9 +138,10 @@ def _files(value: Any) -> Iterator[Path]:
 def with_options(command: Callable[..., Result | Iterator[Result]]) -> Callable[..., None]:
     """Return a command whose arguments ``Annotated[type, "help", With(...)]`` are options with that help.
 
-    A switch that is off by default has no ``--no-name``. What is written must not be what is read. Every
-    command has ``--json`` and prints its result, or the one that it yields before it goes on. With ``--json``
-    stdout gets nothing else: what a user's own file prints, such as an effect, goes to stderr.
+    A switch that is off by default has no ``--no-name``. What is written must not be what is read, and where
+    it is written must allow that, which is checked first. Every command has ``--json`` and prints its result,
+    or the one that it yields before it goes on. With ``--json`` stdout gets nothing else: what a user's own
+    file prints, such as an effect, goes to stderr.
     """
     signature = inspect.signature(command, eval_str=True)
     known = signature.parameters
@@ -146,18 +149,22 @@ def with_options(command: Callable[..., Result | Iterator[Result]]) -> Callable[
     @functools.wraps(command)
     def checked(json: bool, **options: Any) -> None:
         require_apart(options)
+        for name in WRITTEN:
+            if folders.get(name) is not None:
+                require_writable(options[name], folders[name])
         stdout = sys.stdout
         with tells_undone(), redirect_stdout(sys.stderr) if json else nullcontext():
             given = command(**options, **({"json": json} if "json" in known else {}))
             for result in [given] if isinstance(given, Result) else given:
                 show(result, json, stdout)
 
-    parameters = []
+    parameters, folders = [], {}
     for parameter in (known | {"json": JSON}).values():
         annotation = parameter.annotation
         kind, *notes = get_args(annotation) or (annotation,)
         if notes and isinstance(notes[0], str):
             more = asdict(notes[1] if len(notes) > 1 else With())
+            folders[parameter.name] = more.pop("folder")
             own = (f"--{parameter.name.replace('_', '-')}",) if parameter.default is False else ()
             annotation = Annotated[kind, typer.Option(*(more.pop("names") or own), help=notes[0], **more)]
         parameters.append(parameter.replace(annotation=annotation))

@@ -112,7 +112,6 @@ def validate(
     """
     from frogkick.front.gaits import validate as compare
 
-    require_writable(report)
     began = time.perf_counter()
     found = compare(data_dir, robot, left_out=left_out, workers=workers or None, progress=True)
     result = found.as_json()
@@ -178,7 +177,9 @@ def _with_rate(bar: Callable[[int, int], None]) -> Callable[[int, int], None]:
 
 
 def sweep(
-    out: Annotated[Path, "Folder for the results; an interrupted sweep resumes there."],
+    out: Annotated[
+        Path, "Folder for the results; an interrupted sweep resumes there.", opt.With(folder=True)
+    ],
     robot: opt.RobotArgument = "frog2022",
     frequencies: Annotated[
         str | None, "Frequencies in Hz, such as 0.4,0.5; default: those measured for each fraction."
@@ -195,7 +196,6 @@ def sweep(
     """
     from frogkick.front.gaits import sweep as run
 
-    require_writable(out, folder=True)
     require_one_place(workers, cluster)
     designs = {
         "frequencies_hz": _numbers(frequencies, "--frequencies"),

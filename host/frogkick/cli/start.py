@@ -10,7 +10,6 @@ import typer
 import frogkick as fk
 from frogkick.cli import options as opt
 from frogkick.cli.common import Result, say
-from frogkick.core.files import require_writable
 from frogkick.report.style import write_picture
 
 if TYPE_CHECKING:
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def demo(
-    out: Annotated[Path, "Folder for all results."] = Path("demo"),
+    out: Annotated[Path, "Folder for all results.", opt.With(folder=True)] = Path("demo"),
     robot: opt.RobotFile = "frog2022",
     states: Annotated[
         int | None,
@@ -153,8 +152,6 @@ def fit_stroke(
     """Fit limb profiles to measured strokes: how the curvature falls and recovers."""
     from frogkick.front.describing import fit_strokes
 
-    require_writable(out)
-    require_writable(picture)
     found = fit_strokes(strokes, egain_percent=egain_percent, frequency_hz=frequency_hz, length_m=length_m)
     found.save(out)
     if picture is not None:
@@ -172,7 +169,6 @@ def show_robot(
     """
     from frogkick.front.describing import describe
 
-    require_writable(out)
     described = fk.load_robot(robot)
     facts = describe(described)
     if out is not None:
@@ -186,7 +182,6 @@ def show_robot(
 
 def draw_frames(out: Annotated[Path, "Picture to write (.png, .svg or .pdf)."]) -> Result:
     """Draw the frames and units that files, options and logs use: pool, robot, tag and heights."""
-    require_writable(out)
     from frogkick.report.frames_figure import UNITS, frames_figure
 
     write_picture(frames_figure(), out, dpi=90)

@@ -17,23 +17,9 @@ from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import Progress, shown
 from frogkick.report.style import page_of
 from frogkick.robot import Robot, load_robot
+from frogkick.validation import sweep as sweeps
 from frogkick.validation.matched import Matched, matched_without
-from frogkick.validation.sweep import (
-    PAPER_PHASE,
-    PHASE_TIE_MPS,
-    Point,
-    Sweep,
-    Verdict,
-    by_cost,
-    by_speed,
-    energy_model,
-    paper_verdicts,
-    plan_sweep,
-    point_row,
-    rank_designs,
-    rank_gaits,
-    run_sweep,
-)
+from frogkick.validation.sweep import PAPER_PHASE, Point, Sweep, Verdict, by_cost, by_speed, point_row
 from frogkick.validation.validate import (
     ExperimentResult,
     Requirement,
@@ -219,17 +205,17 @@ class Swept:
         Of the phases that are at most 0.5 mm/s slower than a design's fastest one, the listed phase is the
         one nearest to half a cycle.
         """
-        return rank_designs(self.sweep, by_speed)
+        return sweeps.rank_designs(self.sweep, by_speed)
 
     @property
     def most_efficient(self) -> list[Point]:
         """The designs by cost of transport, lowest first, each at its listed phase (see ``fastest``)."""
-        return rank_designs(self.sweep, by_cost)
+        return sweeps.rank_designs(self.sweep, by_cost)
 
     @property
     def energy_model(self) -> str:
         """A paragraph on what the cost of transport includes."""
-        return energy_model(self.sweep.plan.robot)
+        return sweeps.energy_model(self.sweep.plan.robot)
 
     def save(self, folder: Path | str) -> list[Path]:
         """Write ``sweep.csv``, a page and its pictures into a folder, and return the files.
@@ -257,17 +243,18 @@ class Swept:
             "gaits": plan.gaits,
             **_best(sweep),
             "listed_phase": (
-                f"nearest to half a cycle of those within {PHASE_TIE_MPS:g} m/s of the design's fastest phase"
+                f"nearest to half a cycle of those within {sweeps.PHASE_TIE_MPS:g} m/s of the design's "
+                "fastest phase"
             ),
-            "fastest_gaits": [point_row(point) for point in rank_gaits(sweep, by_speed)[:_TOP]],
-            "most_efficient_gaits": [point_row(point) for point in rank_gaits(sweep, by_cost)[:_TOP]],
+            "fastest_gaits": [point_row(point) for point in sweeps.rank_gaits(sweep, by_speed)[:_TOP]],
+            "most_efficient_gaits": [point_row(point) for point in sweeps.rank_gaits(sweep, by_cost)[:_TOP]],
         }
         if PAPER_PHASE in plan.phases:
             result[f"at_phase_{PAPER_PHASE:g}"] = _best(sweep, PAPER_PHASE)
         return {
             **result,
             "paper": [_verdict_row(verdict) for verdict in self.verdicts],
-            "energy_model": energy_model(plan.robot),
+            "energy_model": sweeps.energy_model(plan.robot),
             "interpolated": [asdict(design) for design in sorted(plan.interpolated)],
             "skipped": [asdict(skipped) for skipped in plan.skipped],
             "failures": [point_row(point) for point in sweep.points if point.failure],
@@ -331,11 +318,11 @@ def sweep(
             folder = Path(out)
             require_writable(folder, folder=True)
         described = load_robot(robot)
-        plan = plan_sweep(described, frequencies_hz, phases, egain_percent)
+        plan = sweeps.plan_sweep(described, frequencies_hz, phases, egain_percent)
         processes = 1 if cluster else workers or os.cpu_count() or 1
         with shown(progress, "sweep: gaits") as tell:
-            found = run_sweep(plan, folder, processes, tell, cluster)
-    return Swept(found, paper_verdicts(found))
+            found = sweeps.run_sweep(plan, folder, processes, tell, cluster)
+    return Swept(found, sweeps.paper_verdicts(found))
 
 
 def _verdict_row(verdict: Verdict) -> dict[str, Any]:
@@ -360,6 +347,6 @@ def _verdict_row(verdict: Verdict) -> dict[str, Any]:
 
 def _best(sweep: Sweep, phase: float | None = None) -> dict[str, list[dict[str, Any]]]:
     return {
-        "fastest": [point_row(point) for point in rank_designs(sweep, by_speed, phase)[:_TOP]],
-        "most_efficient": [point_row(point) for point in rank_designs(sweep, by_cost, phase)[:_TOP]],
+        "fastest": [point_row(point) for point in sweeps.rank_designs(sweep, by_speed, phase)[:_TOP]],
+        "most_efficient": [point_row(point) for point in sweeps.rank_designs(sweep, by_cost, phase)[:_TOP]],
     }

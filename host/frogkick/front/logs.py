@@ -13,20 +13,13 @@ from frogkick.core.errors import EXTRAS, InputError, require
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown
 from frogkick.report.style import page_of
+from frogkick.runs import summary as summaries
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.recorded.importer import import_recorded
 from frogkick.runs.recorded.importer import load_run as load_log
 from frogkick.runs.runlog import RunLog, Tracking
 from frogkick.runs.runlog_file import write_run
-from frogkick.runs.summary import (
-    Comparison,
-    Summary,
-    compare_runs,
-    limb_events,
-    lost_of,
-    summary,
-    tracking_of_log,
-)
+from frogkick.runs.summary import Comparison, Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,7 +54,7 @@ class Run(RunLog):
     @cached_property
     def tracking(self) -> Tracking:
         """Distances to the path (m), progress (m/s), counts."""
-        return tracking_of_log(self)
+        return summaries.tracking_of_log(self)
 
     @property
     def ended(self) -> str:
@@ -79,11 +72,11 @@ class Run(RunLog):
 
     def summary(self) -> Summary:
         """Return the run in numbers, for logs of any source; unknown values are None."""
-        return summary(self)
+        return summaries.summary(self)
 
     def compare(self, other: Run | Path | str) -> Comparison:
         """Compare this run with another, or its file, each from its first decision on."""
-        return compare_runs(self, run_of(other))
+        return summaries.compare_runs(self, run_of(other))
 
     def export_csv(self, folder: Path | str) -> list[Path]:
         """Write a CSV for each group of columns, units in their names, and ``run.json``; return the files."""
@@ -130,7 +123,7 @@ class Run(RunLog):
         """The keys of the command ``run``."""
         from frogkick.front.mission import clearance_m, hold_json, then_json
 
-        learned = {"lost": lost_of(self), "limb_events": limb_events(self)}
+        learned = {"lost": summaries.lost_of(self), "limb_events": summaries.limb_events(self)}
         then = {"then": then_json(self), "hold": hold_json(self)}
         rest = {"wall_clearance_m": clearance_m(self), "ended": self.ended}
         return {**self.tracking.as_json(), **self.checked, **learned, **then, **rest}

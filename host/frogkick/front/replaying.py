@@ -11,14 +11,8 @@ from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown, tell_line
+from frogkick.front import places
 from frogkick.front.logs import Run, run_of
-from frogkick.front.places import (
-    built_firmware,
-    plan_config,
-    require_plan,
-    require_simulator,
-    simulated_robot,
-)
 from frogkick.front.robots import connect, require_target
 from frogkick.front.tables import Table, default_tables, load_table, table_image
 from frogkick.link.log import fetch_log as fetch_bytes
@@ -102,10 +96,10 @@ def replay(
         InputError: the run holds no decision to repeat, or the table is for another robot or period.
         ToolchainError: no compiler for the firmware is found.
     """
-    require_simulator(robot, builds=plan != "host")
+    places.require_simulator(robot, builds=plan != "host")
     recorded = run_of(run)
     require_replayable(recorded)
-    require_plan(plan)
+    places.require_plan(plan)
     asked = None if model is None else load_robot(model)
     if asked is not None and recorded.robot_id != asked.id:
         raise InputError(
@@ -126,13 +120,13 @@ def replay(
             f"frogkick: run {recorded.source!r} was planned with table {recorded.table_crc:08x}, and this "
             f"replay uses {used.crc32:08x}: give the run's own table (--tables) to repeat its decisions"
         )
-    config = plan_config(described, planner, depth, recorded)
+    config = places.plan_config(described, planner, depth, recorded)
     with ExitStack() as stack:
         port = None
         if plan != "host":
             image = stack.enter_context(used.file())
             learned = kept_wear(used.tables.crc32, lost_at_start(recorded))
-            port = stack.enter_context(simulated_robot(robot, image, described, learned=learned))
+            port = stack.enter_context(places.simulated_robot(robot, image, described, learned=learned))
         tell = stack.enter_context(shown(progress, "decisions"))
         result = replay_run(recorded, used.tables, config, port, plan != "onboard", tell)
     return Replayed(result, config.depth)
@@ -180,7 +174,7 @@ def replay_log(
         )
     with (
         used.file() as image,
-        built_firmware("native", image, described) as built,
+        places.built_firmware("native", image, described) as built,
         shown(progress, "records") as tell,
     ):
         found = replay_records(fetched.log, built.image, [opened], tell)

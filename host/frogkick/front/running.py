@@ -18,17 +18,10 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, save_result, sole_writer
 from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, read_world
+from frogkick.front import places
 from frogkick.front.bench import Bench, Operators, no_operator, run_on_bench
 from frogkick.front.logs import Run
 from frogkick.front.mission import Then, hold_radius_m, next_paths, require_room, with_walls
-from frogkick.front.places import (
-    plan_config,
-    require_plan,
-    require_simulator,
-    simulated_robot,
-    start_pose,
-    swim_path,
-)
 from frogkick.front.tables import Table, load_table
 from frogkick.front.viewing import keeps_partial_log, noted_if_slow, run_progress, viewed
 from frogkick.link.wire import Wire, is_target
@@ -127,10 +120,10 @@ def run(
     )  # fmt: skip
     is_real = is_target(robot)
     if not is_real:
-        require_simulator(robot)
-    require_plan(plan)
+        places.require_simulator(robot)
+    places.require_plan(plan)
     require_writable(target)
-    desired = swim_path(path)
+    desired = places.swim_path(path)
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
     require_time(time_limit_s)
     require_seed(seed)
@@ -139,7 +132,7 @@ def run(
     # An effect may keep state.
     true = World() if world is None else copy.deepcopy(read_world(world, described))
     check = LiveCheck() if plan == "both" else None
-    config = with_walls(plan_config(described, planner, depth), inside, used, fixes)
+    config = with_walls(places.plan_config(described, planner, depth), inside, used, fixes)
     following = next_paths(then, time_limit_s)
     hold_m = hold_radius_m(used.tables, described.id) if hold else None
     if hold_m is not None and not is_real:
@@ -162,12 +155,12 @@ def run(
             what = "preparing the simulation and the robot's core (compiled on first use)"
             with noted_if_slow(lambda: tell(0, len(desired), what)):
                 port = stack.enter_context(
-                    simulated_robot(robot, image, described, lambda: compile_rods(described))
+                    places.simulated_robot(robot, image, described, lambda: compile_rods(described))
                 )
             recording.made = made_of(described, used.tables, _now_unix_s())
             recording.seed = seed
             rng = noise_of_run(seed, desired.name, len(desired))
-            recording.pool = Pool(described, start_pose(desired), eye, rng, true)
+            recording.pool = Pool(described, places.start_pose(desired), eye, rng, true)
             draw = stack.enter_context(viewed(view, recording, stop=stopped.set))
             with keeps_partial_log(target, recording):
                 run_session(Session(port), recording.pool, recording, said, draw)

@@ -12,17 +12,7 @@ from frogkick.identification.outcome import Outcome
 from frogkick.identification.refine import RELEASE_PENALTY
 from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN, CandidateScore
 from frogkick.identification.verdict import FOUND, FOUND_LAW, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED
-from frogkick.report.identify_figures import (
-    by_action_figure,
-    candidates_figure,
-    error_figure,
-    missing_terms_figure,
-    place_figure,
-    ranked,
-    time_figure,
-    track_figure,
-    unexplained_figure,
-)
+from frogkick.report import identify_figures as figures
 from frogkick.report.identify_residuals import Residuals, explained_shares, residuals_of
 from frogkick.report.laws import law_section, laws_of
 from frogkick.report.page import Section, Table, write_page
@@ -123,7 +113,7 @@ def _errors(outcome: Outcome) -> Section:
         )
         text += [f"{outcome.few_tested.capitalize()}."] if outcome.few_tested else []
     caption = "Errors on the test runs before and after. The dashed line is the noise floor one period ahead."
-    return Section("Error before and after", text, table, [(error_figure(outcome), caption)])
+    return Section("Error before and after", text, table, [(figures.error_figure(outcome), caption)])
 
 
 def _tracks(outcome: Outcome, residuals: Residuals) -> Section:
@@ -131,7 +121,7 @@ def _tracks(outcome: Outcome, residuals: Residuals) -> Section:
         "Left: a whole test run. Right: the periods around the largest error of the nominal model, with the "
         "names of the actions. A dashed line leads from the start of each period to its predicted end."
     )
-    picture = (track_figure(outcome, residuals), caption)
+    picture = (figures.track_figure(outcome, residuals), caption)
     return Section("Predictions and measurements", images=[picture])
 
 
@@ -143,18 +133,18 @@ def _residual(outcome: Outcome, residuals: Residuals) -> Section:
     )
     pictures = [
         (
-            by_action_figure(outcome, residuals),
+            figures.by_action_figure(outcome, residuals),
             "Above: residuals by action. Below: the residual of each limb's strokes by least squares over "
             "all test periods, forward and left in the robot's frame. Bars are two standard errors.",
         ),
-        (time_figure(outcome, residuals), "The residual of each period of the test runs."),
+        (figures.time_figure(outcome, residuals), "The residual of each period of the test runs."),
         (
-            place_figure(residuals),
+            figures.place_figure(residuals),
             "Residuals by place: dots are the measured ends of periods, arrows the residuals there. The "
             "arrows are magnified by the same factor on both sides.",
         ),
     ]
-    missing = missing_terms_figure(outcome)
+    missing = figures.missing_terms_figure(outcome)
     if missing is not None:
         caption = (
             "What the model with the identified effects leaves unexplained in the training runs. From top "
@@ -231,7 +221,7 @@ def _candidates(outcome: Outcome) -> Section:
     rows = [
         (index, each)
         for index, tried in enumerate(iterations, 1)
-        for place, each in enumerate(ranked(tried))
+        for place, each in enumerate(figures.ranked(tried))
         if each.refined or place < 6
     ]
     table = Table.of(
@@ -247,7 +237,7 @@ def _candidates(outcome: Outcome) -> Section:
         },
     )
     caption = "Gains of the candidates in each iteration; the accepted one is magenta."
-    images = [(candidates_figure(iterations), caption)]
+    images = [(figures.candidates_figure(iterations), caption)]
     return Section("Candidate effects and their selection", text_of, table, images)
 
 
@@ -307,7 +297,7 @@ def _unexplained(outcome: Outcome) -> Section:
         },
     )
     caption = "Residuals on the training runs with the identified effects."
-    return Section("Unexplained residuals", text, table, [(unexplained_figure(outcome), caption)])
+    return Section("Unexplained residuals", text, table, [(figures.unexplained_figure(outcome), caption)])
 
 
 def _terms(outcome: Outcome) -> Section:

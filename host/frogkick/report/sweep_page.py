@@ -16,18 +16,8 @@ from frogkick.core.files import write_bytes
 from frogkick.effects.swims import Gait
 from frogkick.report import style
 from frogkick.report.page import Section, Table, left_out, write_page
-from frogkick.validation.sweep import (
-    PAPER_PHASE,
-    PHASE_TIE_MPS,
-    Design,
-    Point,
-    Sweep,
-    Verdict,
-    by_cost,
-    by_speed,
-    energy_model,
-    rank_designs,
-)
+from frogkick.validation import sweep as sweeps
+from frogkick.validation.sweep import PAPER_PHASE, PHASE_TIE_MPS, Design, Point, Sweep, Verdict
 
 _TOP = 10
 _MISSING = "#ececec"
@@ -43,7 +33,7 @@ def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> 
     lead = (
         f"{len(plan.designs)} designs (EGaIn fraction and frequency) of the robot {plan.robot.title}, each "
         f"at {len(plan.phases)} phase offsets: {plan.gaits} gaits, simulated from rest. "
-        f"{energy_model(plan.robot)}"
+        f"{sweeps.energy_model(plan.robot)}"
     )
     sections = [
         Section(
@@ -55,8 +45,8 @@ def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> 
             ),
             images=[(designs, "Speed and cost of transport; boxes mark the designs that the paper names.")],
         ),
-        _ranking("Fastest", rank_designs(sweep, by_speed)),
-        _ranking("Most efficient", rank_designs(sweep, by_cost)),
+        _ranking("Fastest", sweeps.rank_designs(sweep, sweeps.by_speed)),
+        _ranking("Most efficient", sweeps.rank_designs(sweep, sweeps.by_cost)),
     ]
     if verdicts:
         sections.append(_paper(verdicts))
@@ -144,7 +134,7 @@ def _designs(sweep: Sweep, verdicts: Sequence[Verdict]) -> Figure:
     fractions = _fractions(sweep)
     shape = (len(fractions), len(frequencies))
     speed, cost = np.full(shape, np.nan), np.full(shape, np.nan)
-    for point in rank_designs(sweep, by_speed):
+    for point in sweeps.rank_designs(sweep, sweeps.by_speed):
         cell = fractions.index(point.gait.egain_percent), frequencies.index(point.gait.frequency_hz)
         speed[cell] = 1e3 * point.speed_mps
         cost[cell] = point.cost_of_transport if math.isfinite(point.cost_of_transport) else np.nan

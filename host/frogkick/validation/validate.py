@@ -15,21 +15,9 @@ from frogkick.core.errors import InputError
 from frogkick.der import WIDTH
 from frogkick.effects.swims import Gait
 from frogkick.robot import Robot
+from frogkick.validation import measured
 from frogkick.validation.gaits import CYCLES, FIRST_CYCLE, GaitSwim, speed_over_cycles, swim_chunks
-from frogkick.validation.measured import (
-    EXPERIMENTS,
-    SIMULATIONS,
-    Case,
-    Profiles,
-    Skipped,
-    SteadySpeed,
-    find_cases,
-    read_profiles,
-    read_simulation,
-    read_speeds,
-    read_swim,
-    steady_speed,
-)
+from frogkick.validation.measured import EXPERIMENTS, SIMULATIONS, Case, Profiles, Skipped, SteadySpeed
 
 SPEED_LIMITS_MPS = {f"{SIMULATIONS}/freq": 1.2e-3, f"{SIMULATIONS}/phase": 0.5e-3}
 WITHIN_CYCLE_LIMIT_M = 0.3e-3
@@ -165,12 +153,12 @@ def validate(
     Raises:
         InputError: no such folder, or nothing in it.
     """
-    cases, skipped = find_cases(folder)
-    profiles, unusable = read_profiles(folder / "profile", robot.profiles)
+    cases, skipped = measured.find_cases(folder)
+    profiles, unusable = measured.read_profiles(folder / "profile", robot.profiles)
     skipped += unusable
     references: list[tuple[Case, Track | SteadySpeed]] = []
     table = folder / "exp" / "speeds.csv"
-    tabulated = read_speeds(table)
+    tabulated = measured.read_speeds(table)
     for case in cases:
         try:
             references.append((case, _read(case)))
@@ -213,8 +201,8 @@ def _read(case: Case) -> Track | SteadySpeed:
     """The track of a simulation, or the speed of a swim."""
     frequency_hz = case.gait.frequency_hz
     if not case.group.startswith(SIMULATIONS):
-        return steady_speed(*read_swim(case.file), frequency_hz)
-    track = read_simulation(case.file)
+        return measured.steady_speed(*measured.read_swim(case.file), frequency_hz)
+    track = measured.read_simulation(case.file)
     end_s, needed_s = track[0][-1], CYCLES / frequency_hz
     if end_s < needed_s - _END_SLACK_S:
         raise InputError(f"it ends at {end_s:g} s: cycle {CYCLES} ends at {needed_s:g} s")

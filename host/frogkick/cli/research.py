@@ -253,27 +253,23 @@ def command(name: str) -> Callable[..., Result]:
     ]
 
     def run(**given: Any) -> Result:
-        return _run(name, config(**given))
+        chosen = config(**given)
+        out: Path | None = getattr(chosen, "out", None)
+        require_writable(out, folder=chosen.folder)
+        for option, value in given.items():
+            for file in value if isinstance(value, list | tuple) else [value]:
+                if option != "out" and isinstance(file, Path) and not file.exists():
+                    raise InputError(
+                        f"{option.replace('_', ' ')} {str(file)!r} does not exist: check the path"
+                    )
+        found = importlib.import_module(f"frogkick_studies.{name}").run(chosen)
+        values = found.as_json()
+        if out is not None:
+            figure = out / f"{name}.png" if chosen.folder else out
+            save(lambda file: write_picture(found.plot(), file, ".png"), figure)
+            values["figure"] = str(figure)
+        return Result(values, found.text(values).splitlines() or None, passed=found.passed)
 
     run.__doc__ = config.__doc__
     run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return run
-
-
-def _run(name: str, config: Any) -> Result:
-    out: Path | None = getattr(config, "out", None)
-    require_writable(out, folder=config.folder)
-    for field in fields(config):
-        given = getattr(config, field.name)
-        for file in given if isinstance(given, list | tuple) else [given]:
-            if field.name != "out" and isinstance(file, Path) and not file.exists():
-                raise InputError(
-                    f"{field.name.replace('_', ' ')} {str(file)!r} does not exist: check the path"
-                )
-    found = importlib.import_module(f"frogkick_studies.{name}").run(config)
-    values = found.as_json()
-    if out is not None:
-        figure = out / f"{name}.png" if config.folder else out
-        save(lambda file: write_picture(found.plot(), file, ".png"), figure)
-        values["figure"] = str(figure)
-    return Result(values, found.text(values).splitlines() or None, passed=found.passed)

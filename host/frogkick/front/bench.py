@@ -47,10 +47,8 @@ from frogkick.vision.video import Video
 
 FIRST_FIX_S = 10.0
 UNFINISHED = {
-    ENDED[
-        "STALE"
-    ]: "position fixes stopped coming: the robot left the picture, or the camera or tracker fell "
-    "behind or ended",
+    ENDED["STALE"]: "position fixes stopped coming: the robot left the picture, or the camera or tracker "
+    "fell behind or ended",
     ENDED["SUPPLY"]: "the robot's supply fell too low: charge all batteries and check the plugs",
     DISARMED: "the robot disarmed itself: 'frogkick log fetch' shows what led to it",
     DROPPED: "the connection was lost and the robot ended the run meanwhile: bring the radio nearer, or "

@@ -18,7 +18,8 @@ from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
-from frogkick.front.identifying import require_held_out
+from frogkick.front.identifying import logs_of, require_held_out
+from frogkick.front.logs import load_run
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.filter import Filter, Noise, Series, deviances, maximum_likelihood_noise
 from frogkick.identification.fit import Model, fit_many, rollouts_of
@@ -291,6 +292,16 @@ def test_another_robots_run_is_refused() -> None:
     run = replace(make_run([], 6, 3), robot_id="other")
     with pytest.raises(InputError, match="'other'"):
         segments_of(run, "x.h5", robot())
+
+
+def test_no_two_runs_have_one_name(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("a/line.h5", "b/line.h5", "sine.h5")]
+    for file in files:
+        file.parent.mkdir(exist_ok=True)
+        write_run(file, make_run([], 1, 1))
+    made = [load_run(files[0])] * 2
+    names = [name for _run, name in logs_of([*files, *made])]
+    assert names == [str(files[0]), str(files[1]), "sine.h5", "made (1)", "made (2)"]
 
 
 def test_a_run_is_given_once_also_if_it_was_written_anew() -> None:

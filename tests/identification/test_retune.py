@@ -427,7 +427,7 @@ def test_bad_arguments_are_one_clear_line_each(tmp_path: Path, capsys: pytest.Ca
     (full / "kept").write_bytes(b"x")
     cases: list[tuple[list[str | Path], str]] = [
         (["missing.h5", "--robot", name, "--out", new, "--push", "ble"], "neither ble:NAME nor serial:PORT"),
-        ([run, run, "--robot", name, "--out", new], "'run.h5' is training run 'run.h5' once more"),
+        ([run, run, "--robot", name, "--out", new], f"test run '{run}' is training run '{run}' once more"),
         ([run, "--robot", name, "--out", full], "is not empty"),
         ([run, "--robot", name, "--out", full / "kept"], "is a file"),
         ([run, "--robot", name, "--out", run], "is read by this command"),

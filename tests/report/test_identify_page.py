@@ -110,6 +110,8 @@ def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
         "record from rest: GBE (3 periods, 12.0 sigma apart)", "Unexplained residuals", "made31", "made33",
     ):  # fmt: skip
         assert reported in links.text, reported
+    for each in outcome.parameters[0]:  # also of what is fixed, as in the command's JSON
+        assert f"{each.low:.4g} to {each.high:.4g}" in links.text, each
     before, after = outcome.tested.before, outcome.tested.after
     assert f"{1e3 * before.position_rmse_m:.2f}" in links.text
     assert f"{1e3 * after.position_rmse_m:.2f}" in links.text

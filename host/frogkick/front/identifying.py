@@ -181,7 +181,7 @@ def identify(
                 f"run {name!r} is a training run and a test run: its test would show how well it "
                 "was fitted, not how well it is predicted; give each run once"
             )
-    logs = [[log_of(each) for each in some] for some in (runs, test)]
+    logs = [logs_of(some) for some in (runs, test)]
     described = load_robot(robot or robot_of_runs([log for some in logs for log, _name in some]))
     train, kept = ([segments_of(log, name, described) for log, name in some] for some in logs)
     require_held_out(train, kept)
@@ -230,6 +230,13 @@ def _same_fixes(one: Segments, other: Segments) -> bool:
     return bool(np.isfinite(apart).mean() > 0.5)
 
 
-def log_of(given: Given) -> tuple[Run, str]:
-    """Return a run, and its name in messages."""
-    return run_of(given), given.source if isinstance(given, Run) else Path(given).name
+def logs_of(given: Sequence[Given]) -> list[tuple[Run, str]]:
+    """Return runs, and their names in messages and tables: paths or numbers where several have one name."""
+    names = [each.source if isinstance(each, Run) else Path(each).name for each in given]
+    logs = []
+    for k, (each, name) in enumerate(zip(given, names, strict=True)):
+        told = name
+        if names.count(name) > 1:
+            told = f"{name} ({1 + names[:k].count(name)})" if isinstance(each, Run) else str(each)
+        logs.append((run_of(each), told))
+    return logs

@@ -20,7 +20,7 @@ from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import UnwritableError, require_writable, save_result, write_bytes
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, Stage, in_stages, shown
-from frogkick.front.identifying import Given, LeftOut, log_of, require_held_out
+from frogkick.front.identifying import Given, LeftOut, logs_of, require_held_out
 from frogkick.front.retune_tables import PERIOD_OFF, Lost, TableMaker, Tracked, table_error, table_horizons
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
@@ -183,7 +183,7 @@ def retune(
     require_new(folder)
     described = load_robot(robot)
     every = [runs] if isinstance(runs, Given) else runs
-    swims, unused = reliable([segments_of(*log_of(each), described) for each in every])
+    swims, unused = reliable([segments_of(*each, described) for each in logs_of(every)])
     left_out(unused)
     require_held_out(swims[:-1], swims[-1:])
     old = None if table is None else _carried(table, described)

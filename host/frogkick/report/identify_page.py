@@ -177,7 +177,7 @@ def _effects(outcome: Outcome) -> Section:
             title,
             each.name + (f" ({declared.about})" if declared.about else ""),
             f"{each.value:.4g}",
-            "" if index in held else f"{each.low:.4g} to {each.high:.4g}",
+            f"{each.low:.4g} to {each.high:.4g}",
             "" if each.unit == "1" else each.unit,
             f"{declared.nominal:g}",
             why if index in held else "fitted",

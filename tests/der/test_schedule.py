@@ -15,8 +15,8 @@ from frogkick.der.schedule import (
     COARSEST_WHILE_IT_RINGS,
     RINGS_S,
     SLIVER,
+    ScheduledStroke,
     StepProfile,
-    Stroke,
     lane_times,
     lay_out,
     profiles_of,
@@ -36,7 +36,7 @@ times = st.floats(0.0, 3.0)
 
 
 def ends_of(
-    now: float, until: float, strokes: Sequence[Stroke], step_profile: StepProfile = STEP_PROFILE
+    now: float, until: float, strokes: Sequence[ScheduledStroke], step_profile: StepProfile = STEP_PROFILE
 ) -> np.ndarray:
     known = sorted(strokes)
     starts, scales = (
@@ -52,7 +52,7 @@ def ends_of(
 @given(now=times, length=st.floats(1e-6, 3.0), starts=st.lists(times, max_size=6))
 def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, starts: list[float]) -> None:
     until = now + length
-    ends = ends_of(now, until, [Stroke(start) for start in starts])
+    ends = ends_of(now, until, [ScheduledStroke(start) for start in starts])
     steps = np.diff(ends)
     assert ends[0] == now
     assert ends[-1] == until
@@ -75,7 +75,7 @@ def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, star
 
 def test_no_sliver_is_left_behind_a_stroke_that_begins_where_steps_end() -> None:
     for start in (np.nextafter(0.1, 0.0), 0.1 - 0.5 * SLIVER * STEP_S):
-        steps = np.diff(ends_of(0.0, 0.1, [Stroke(float(start))]))
+        steps = np.diff(ends_of(0.0, 0.1, [ScheduledStroke(float(start))]))
         assert steps.min() > 0.4 * SLIVER * STEP_S
 
 
@@ -84,14 +84,15 @@ def test_no_sliver_is_left_behind_a_stroke_that_begins_where_steps_end() -> None
 def test_a_stroke_s_own_time_chooses_no_other_steps(late: float, second_ms: int, length_ms: int) -> None:
     """The rounding of its start must not change the steps, however late it is."""
     first, ends = (
-        ends_of(at, at + 1e-3 * length_ms, [Stroke(at), Stroke(at + 1e-3 * second_ms)]) for at in (0.0, late)
+        ends_of(at, at + 1e-3 * length_ms, [ScheduledStroke(at), ScheduledStroke(at + 1e-3 * second_ms)])
+        for at in (0.0, late)
     )
     assert len(ends) == len(first)
     assert np.abs(ends - late - first).max() < 1e-11
 
 
 def test_steps_are_coarse_long_after_a_stroke_and_shared_out_before_the_next() -> None:
-    ends = ends_of(0.0, 3.0, [Stroke(0.0), Stroke(2.5005)])
+    ends = ends_of(0.0, 3.0, [ScheduledStroke(0.0), ScheduledStroke(2.5005)])
     steps = np.diff(ends)
     assert np.allclose(steps[:50], STEP_S)
     assert np.isclose(steps.max(), COARSEST_AT_REST * STEP_S)
@@ -101,7 +102,7 @@ def test_steps_are_coarse_long_after_a_stroke_and_shared_out_before_the_next() -
 
 
 def test_no_stroke_is_coarse_at_once() -> None:
-    for coming in ([], [Stroke(5.0)]):
+    for coming in ([], [ScheduledStroke(5.0)]):
         ends = ends_of(0.0, 0.84, coming)
         assert np.allclose(np.diff(ends), COARSEST_AT_REST * STEP_S)
 
@@ -121,7 +122,7 @@ def test_activation_is_the_largest_of_a_limb_s_strokes() -> None:
     stroke = ROBOT.actuation()
     at = np.linspace(-0.1, 2.5, 400)
     strokes = np.full((3, 2, 3), np.nan)
-    strokes[0], strokes[1, 0] = [Stroke(0.0), Stroke(0.3)], Stroke(0.5)
+    strokes[0], strokes[1, 0] = [ScheduledStroke(0.0), ScheduledStroke(0.3)], ScheduledStroke(0.5)
     active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, STEP_PROFILE.peak_s)
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     one, two, three = (np.interp(at - s, table_s, stroke.activation, 0.0, 0.0) for s in (0.0, 0.3, 0.5))
@@ -134,12 +135,12 @@ def test_a_weak_slow_stroke_is_the_measured_one_with_less_height_and_a_longer_ta
     stroke = ROBOT.actuation()
     at = np.linspace(0.0, 4.0, 900)
     peak_s = STEP_PROFILE.peak_s
-    strokes = np.array([[Stroke(0.0, 0.7, 2.0)]])
+    strokes = np.array([[ScheduledStroke(0.0, 0.7, 2.0)]])
     active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, peak_s)[:, 0]
     then = np.where(at <= peak_s, at, peak_s + (at - peak_s) / 2.0)
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     assert np.allclose(active, 0.7 * np.interp(then, table_s, stroke.activation, 0.0, 0.0), atol=1e-12)
-    ends = ends_of(0.0, 3.0, [Stroke(0.0, 0.7, 2.0)])
+    ends = ends_of(0.0, 3.0, [ScheduledStroke(0.0, 0.7, 2.0)])
     over_s = peak_s + 2.0 * (STEP_PROFILE.over_s - peak_s)
     assert over_s < 3.0
     assert np.abs(ends - over_s).min() < 1e-12
@@ -148,7 +149,7 @@ def test_a_weak_slow_stroke_is_the_measured_one_with_less_height_and_a_longer_ta
 def test_lanes_laid_out_in_one_go_are_those_laid_out_one_by_one() -> None:
     """To the last bit, whatever the strokes of other lanes are like and however many they have."""
     actuations = [ROBOT.actuation(each.egain_percent, each.frequency_hz) for each in ROBOT.profiles[:3]]
-    fired = [[Stroke(0.02, 0.8), Stroke(0.42, 1.0, 1.7)], [], [Stroke(0.1)]]
+    fired = [[ScheduledStroke(0.02, 0.8), ScheduledStroke(0.42, 1.0, 1.7)], [], [ScheduledStroke(0.1)]]
     starts, scales = np.full((3, 2), np.inf), np.ones((3, 2))
     strokes = np.full((3, 1, 2, 3), np.nan)
     for lane, known in enumerate(fired):

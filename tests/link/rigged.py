@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from tests.link.air import Peripheral, breathe
 
+from frogkick.link.opening import opened
 from frogkick.link.pty_line import Listener, PtyLine
-from frogkick.link.wire import Target, Wire, opened
+from frogkick.link.wire import Target, Wire
 
 TRANSPORTS = ("serial", "ble")
 

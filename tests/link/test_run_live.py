@@ -26,8 +26,9 @@ from tests.runs import rig
 
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
+from frogkick.link.opening import opened
 from frogkick.link.pty_line import PtyLine
-from frogkick.link.wire import Target, opened
+from frogkick.link.wire import Target
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import Pulse, pulses_of, violations

@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from tests.conftest import REPOSITORY, from_ci
+from tests.conftest import REPOSITORY
 from tests.structure.arrows import ARROWS, CODEGEN, STUDIES, c_arrows, circle, unknown, unused, violations
 from tests.structure.wheel import repository_files
 
@@ -136,7 +136,6 @@ def test_a_wrong_import_is_found(tmp_path: Path, name: str, text: str, found: st
     assert lines[0].startswith(name + found), lines
 
 
-@from_ci
 def test_files_import_each_other_in_no_circle() -> None:
     assert circle(REPOSITORY) == []
 

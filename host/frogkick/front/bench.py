@@ -20,7 +20,8 @@ from frogkick.front.places import built_firmware, start_pose
 from frogkick.front.viewing import noted_if_slow, viewed
 from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
-from frogkick.link.wire import FORMS, Wire, is_target, opened, parse_target, require_wire
+from frogkick.link.opening import opened, require_wire
+from frogkick.link.wire import FORMS, Wire, is_target, parse_target
 from frogkick.paths import Path as SwimPath
 from frogkick.paths.hold import hold_at_end
 from frogkick.planner.plan import PlanConfig

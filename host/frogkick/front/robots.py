@@ -18,7 +18,8 @@ from frogkick.front.tables import Table, robot_of_table
 from frogkick.link.auth import default_key_file, read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.layout import link_layout
-from frogkick.link.wire import FORMS, KINDS, Wire, is_target, opened, parse_target, require_wire
+from frogkick.link.opening import opened, require_wire
+from frogkick.link.wire import FORMS, KINDS, Wire, is_target, parse_target
 from frogkick.paths import Path as SwimPath
 from frogkick.runs.lab_session import LabSession, lab_session
 from frogkick.runs.pushing import Pushed, own, push, roll_back

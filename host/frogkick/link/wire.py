@@ -9,15 +9,13 @@ import enum
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from frogkick.core.errors import FrogkickError, InputError, nearest_name, require
+from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.core.interrupts import Bell
-from frogkick.link.frames import DELIMITER, Frame
+from frogkick.link.frames import Frame
 
 BAUD = 115_200
 BYTE_S = 10 / BAUD  # a start bit, 8 data bits, a stop bit
@@ -161,25 +159,3 @@ def parse_target(text: str) -> Target:
     if not 1200 <= baud <= BAUD_MAX:
         raise InputError(f"robot {text!r} has {baud} bits/s, allowed is 1200 to {BAUD_MAX}: leave it out")
     return Target(kind, port, baud)
-
-
-def require_wire(target: Target) -> None:
-    """Raise InputError unless the package for a kind of wire is installed."""
-    require(f"{target.kind}:", {"ble": "bleak", "serial": "serial"}[target.kind])
-
-
-@contextmanager
-def opened(target: Target, greeting: bytes = DELIMITER) -> Iterator[Wire]:
-    """Open a wire to a robot, and close it at the end. ``greeting`` is sent at each connection."""
-    require_wire(target)
-    wire: Wire
-    if target.kind == "ble":
-        from frogkick.link.ble import BleWire
-
-        wire = BleWire(target.place, greeting=greeting)
-    else:
-        from frogkick.link.serial import SerialWire
-
-        wire = SerialWire(target.place, target.baud, greeting=greeting)
-    with closing(wire):
-        yield wire

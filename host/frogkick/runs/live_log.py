@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 import pathlib
+import queue
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -17,7 +19,6 @@ import numpy as np
 
 from frogkick.core.arrays import AnyArray
 from frogkick.core.errors import InputError
-from frogkick.core.interrupts import Bell
 from frogkick.runs.record import Recording
 from frogkick.runs.runlog import Decisions, Fixes, PathChange, RunLog
 from frogkick.runs.runlog_file import fill
@@ -63,11 +64,7 @@ class LiveLog:
         fill(self._file, empty, CHUNK_ROWS)
         self._file.attrs["live"] = True
         self._file.swmr_mode = True  # from here on other programs can read what was flushed
-        self._lock = threading.Lock()
-        self._condition = threading.Condition(self._lock)
-        self._written = Bell()
-        self._waiting: list[_Rows] = []
-        self._writing = self._closing = False
+        self._waiting: queue.Queue[list[_Rows]] = queue.Queue()  # an empty list ends the thread
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._live, name="log", daemon=True)
         self._thread.start()
@@ -93,9 +90,7 @@ class LiveLog:
             writes += _rows(recording.decision_columns(first), first)
         self._rested, self._decisions = len(rested), count
         if writes:
-            with self._lock:
-                self._waiting += writes
-                self._condition.notify_all()
+            self._waiting.put(writes)
 
     def _changed_paths(self, then: Sequence[PathChange]) -> list[_Rows]:
         """The paths that have taken over since the last call, and the columns of all."""
@@ -112,13 +107,11 @@ class LiveLog:
 
     def settle(self) -> None:
         """Wait until all rows are on the disk."""
-        self._written.wait_for(lambda: self._error or not (self._waiting or self._writing))
+        self._waiting.join()
 
     def close(self) -> None:
         """Write the remaining rows and close the file. InputError: the disk is full."""
-        with self._lock:
-            self._closing = True
-            self._condition.notify_all()
+        self._waiting.put([])
         self._thread.join()
         try:
             self._file.close()
@@ -140,24 +133,21 @@ class LiveLog:
         return InputError(f"the log {str(self.path)!r} cannot be continued: is the disk full?")
 
     def _live(self) -> None:
-        while True:
-            with self._lock:
-                self._condition.wait_for(lambda: self._waiting or self._closing)
-                self._writing = True  # before _waiting is emptied: settle reads both without the lock
-                writes, self._waiting = self._waiting, []
-                if not writes:
-                    return
+        is_over = False
+        while not is_over:
+            taken = [self._waiting.get()]
+            if taken[0]:  # writing one row takes as long as writing ten, so gather some
+                time.sleep(GATHER_S)
+            with suppress(queue.Empty):
+                while True:
+                    taken.append(self._waiting.get_nowait())
             try:
-                self._write(writes)
+                self._write([rows for writes in taken for rows in writes])
             except Exception as error:  # keep and close raise it
                 self._error = error
-            with self._lock:
-                self._writing = False
-                self._written.ring()
-                if self._error is not None:
-                    return
-                # Writing one row takes as long as writing ten, so gather some.
-                self._condition.wait_for(lambda: self._closing, GATHER_S)
+            is_over = [] in taken or self._error is not None
+            for _ in taken:
+                self._waiting.task_done()
 
     def _write(self, writes: list[_Rows]) -> None:
         """Write and flush fixes, then paths, then decisions.

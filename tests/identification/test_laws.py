@@ -160,7 +160,7 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 @from_ci
-@pytest.mark.parametrize(("title", "table"), some(WORLDS, 1))
+@pytest.mark.parametrize(("title", "table"), some(WORLDS, 1, 5))
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
     seeds, periods = range(1, 4), PERIODS
     swims = [make_swim(planted(folder, table), seed, periods) for seed in seeds]

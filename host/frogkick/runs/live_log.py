@@ -22,7 +22,6 @@ from frogkick.core.errors import InputError
 from frogkick.runs.record import Recording
 from frogkick.runs.runlog import Decisions, Fixes, PathChange, RunLog
 from frogkick.runs.runlog_file import fill
-from frogkick.runs.summary import NO_ANSWER
 
 CHUNK_ROWS = 256
 GATHER_S = 0.02
@@ -64,7 +63,9 @@ class LiveLog:
         fill(self._file, empty, CHUNK_ROWS)
         self._file.attrs["live"] = True
         self._file.swmr_mode = True  # from here on other programs can read what was flushed
-        self._waiting: queue.Queue[list[_Rows]] = queue.Queue()  # an empty list ends the thread
+        # An empty list ends the thread. ``queue.Queue`` is Python code, which a Ctrl-C could leave locked.
+        self._waiting: queue.SimpleQueue[list[_Rows]] = queue.SimpleQueue()
+        self._handed_over = self._written = 0  # lists of rows
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._live, name="log", daemon=True)
         self._thread.start()
@@ -75,14 +76,12 @@ class LiveLog:
             raise self._full() from self._error
         writes: list[_Rows] = []
         fixes, count = recording.fixes, len(recording.fixes)
-        first = min([self._fixes, *(row for row in self._unanswered if fixes[row].robot_status != NO_ANSWER)])
+        first = min([self._fixes, *(row for row in self._unanswered if fixes[row].is_answered)])
         if first < count:
             writes += _rows(recording.fix_columns(first), first)
         waiting = [*self._unanswered, *range(self._fixes, count)][-CHUNK_ROWS:]
-        self._fixes, self._unanswered = (
-            count,
-            [row for row in waiting if fixes[row].robot_status == NO_ANSWER],
-        )
+        self._unanswered = [row for row in waiting if not fixes[row].is_answered]
+        self._fixes = count
         rested, count = list(recording.rested), len(recording.decisions)
         first = min([self._decisions, *rested[self._rested :]])
         if first < count:
@@ -90,6 +89,7 @@ class LiveLog:
             writes += _rows(recording.decision_columns(first), first)
         self._rested, self._decisions = len(rested), count
         if writes:
+            self._handed_over += 1
             self._waiting.put(writes)
 
     def _changed_paths(self, then: Sequence[PathChange]) -> list[_Rows]:
@@ -107,7 +107,8 @@ class LiveLog:
 
     def settle(self) -> None:
         """Wait until all rows are on the disk."""
-        self._waiting.join()
+        while self._written < self._handed_over and self._error is None:
+            time.sleep(0.001)
 
     def close(self) -> None:
         """Write the remaining rows and close the file. InputError: the disk is full."""
@@ -138,16 +139,14 @@ class LiveLog:
             taken = [self._waiting.get()]
             if taken[0]:  # writing one row takes as long as writing ten, so gather some
                 time.sleep(GATHER_S)
-            with suppress(queue.Empty):
-                while True:
-                    taken.append(self._waiting.get_nowait())
+            while not self._waiting.empty():
+                taken.append(self._waiting.get())
             try:
                 self._write([rows for writes in taken for rows in writes])
             except Exception as error:  # keep and close raise it
                 self._error = error
+            self._written += len(taken)
             is_over = [] in taken or self._error is not None
-            for _ in taken:
-                self._waiting.task_done()
 
     def _write(self, writes: list[_Rows]) -> None:
         """Write and flush fixes, then paths, then decisions.

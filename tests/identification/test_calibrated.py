@@ -25,6 +25,7 @@ from frogkick.identification.segments import read_segments
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import prediction_errors
 from frogkick.robot import load_robot
+from frogkick.robot.load import new_robot_text
 
 GENERIC = {
     "hull": (1.5, 0.85, 0.5, 4.0),
@@ -47,6 +48,23 @@ def test_a_robot_measured_before_is_a_relative_of_its_own_body_alone() -> None:
     assert calibrated_starts(load_robot("hexapod")) == {}
     alone = {term.name for term in catalogue(load_robot("frog2022"))}
     assert not {"hull", "limb_mount", "limb_fatigue", "munk_moment"} & alone, "told together only"
+
+
+WEAR_OF_THREE = {f"limb_wear {name}" for name in ("front_right", "front_left", "rear_left", "all")}
+GAINS = {
+    1: {"limb_wear front_right"},
+    2: {"limb_wear front_right", "limb_wear front_left", "limb_wear all"},
+    3: WEAR_OF_THREE | {"group_gain front", "group_gain left"},
+}
+
+
+@pytest.mark.parametrize("limbs", GAINS)
+def test_gains_of_limbs_are_searched_for_once_each(tmp_path: Path, limbs: int) -> None:
+    """A group of one limb, or of all, would be another name for the wear of that limb or of all."""
+    file = tmp_path / "few.toml"
+    file.write_text(new_robot_text(load_robot("frog2022"), "few", limbs))
+    terms = catalogue(load_robot(file))
+    assert {term.title for term in terms if term.name in ("limb_wear", "group_gain")} == GAINS[limbs]
 
 
 @from_ci

@@ -301,3 +301,8 @@ def test_what_moves_the_misses_moves_the_parameters() -> None:
         assert moved == pytest.approx(-np.array(change), rel=0.1, abs=2e-6)
     aside = 1e-4 * rng.normal(size=(200, 9))
     assert np.abs(moved_by(aside, residuals, jacobian, scale)).max() < 1.5e-5
+
+
+def test_a_number_without_a_unit_is_written_without_one() -> None:
+    assert str(Interval("gain", 0.7, 0.69, 0.71, "1")) == "gain 0.7 [0.69, 0.71]"
+    assert str(Interval("drag", 0.04, 0.039, 0.041, "N s/m")) == "drag 0.04 [0.039, 0.041] N s/m"

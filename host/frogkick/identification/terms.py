@@ -41,7 +41,8 @@ class Interval:
         return replace(self, low=min(self.low, low), high=max(self.high, high))
 
     def __str__(self) -> str:
-        return f"{self.name} {self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name} {self.value:.4g} [{self.low:.4g}, {self.high:.4g}]{unit}"
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,8 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
         if kind.joint_only or not kind.parameters:
             continue  # see frogkick.identification.calibrated; a law has what its formulas name
         for options in _options(kind, robot):
-            terms.append(_term({"name": name, **options}, Path(), kind))
+            if name != "group_gain" or not _is_limb_wear(robot, options["group"]):
+                terms.append(_term({"name": name, **options}, Path(), kind))
     if own is not None:
         kinds = effect_classes(own)
         if not kinds:
@@ -189,14 +191,20 @@ def law_term(
     return Term((("name", "law"), *given.items()), Path(), declared, tuple(float(v) for v in values))
 
 
+def _is_limb_wear(robot: Robot, group: str) -> bool:
+    """Return whether a group of limbs is one limb or all of them, whose gain is that of ``limb_wear``."""
+    members = sum(group in limb.name.split("_") for limb in robot.limbs)
+    return members in (1, len(robot.limbs))
+
+
 def _options(kind: type, robot: Robot) -> list[dict[str, Any]]:
-    """Option values to try: each limb and the default; each word of limb names; each side of a pool."""
+    """Option values to try: each limb and, of several, the default; words of limb names; sides of a pool."""
     options: object = getattr(kind, "options", {})
     if not isinstance(options, Mapping):
         raise InputError(f"effect {kind.__name__!r}: options are {options!r}: give {{'limb': 'all'}} or such")
     if "limb" in options:
         names = [limb.name for limb in robot.limbs]
-        default = [options["limb"]] if options["limb"] is not None else []
+        default = [options["limb"]] if options["limb"] is not None and len(names) > 1 else []
         return [{"limb": name} for name in [*names, *default]]
     if "side" in options:
         return [{"side": side} for side in OUTWARD]

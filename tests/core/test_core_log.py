@@ -185,6 +185,15 @@ def test_a_fetch_goes_on_where_the_last_one_ended() -> None:
     assert names(later)[len(names(known)) :] == ["FIX", "PATH", "PATH"]
 
 
+def test_a_log_that_began_anew_does_not_go_on_with_what_was_known() -> None:
+    robot, _ = robot_with_log()
+    robot.begin("ARMED")
+    known = fetched(robot)
+    anew, _ = robot_with_log()
+    assert fetched(anew).end < known.end
+    assert fetched(anew, known) == fetched(anew)
+
+
 def test_a_first_fetch_begins_at_a_record_also_where_offsets_go_round() -> None:
     robot, log = robot_with_log()
     shift = 2**32 - 20  # offset 0 is in the middle of a record

@@ -143,7 +143,8 @@ def fetch_log(
 
     Args:
         known: an earlier fetch from the same robot, which the result continues: in another stretch if records
-            in between were overwritten. None if the robot was without supply since, which starts another log.
+            in between were overwritten. A robot that was without supply since has begun another log, which
+            is the result alone as long as it is shorter than what is known; give None if it may be longer.
         progress: called with bytes fetched and all bytes.
     """
     stretches = list(known.stretches) if known is not None else []
@@ -158,6 +159,8 @@ def fetch_log(
             continue
         if first is None:
             first, goal = at, (int(answer["end"]) - at) % _SPAN
+        if stretches and (at - offset) % _SPAN >= _SPAN // 2:  # before what is known: another log
+            stretches.clear()
         if at != offset or not stretches:
             stretches.append(Stretch(at, b""))
         last = stretches[-1]

@@ -105,8 +105,9 @@ def test_a_path_that_no_choice_of_actions_follows_is_named(capsys: pytest.Captur
     asked = ("run", "--robot", "pool", "--tables", rig.small_table(), "--simulated-time", "30", "--path")
     tight = frogkick(capsys, *asked, "sine")
     assert tight.code == 0 and re.search(
-        r"frogkick: the path bends by up to \d+ degrees in the \d+ mm that the robot moves in a period, and "
-        r"it turned by \d+ degrees at most: it cannot follow such a path; make it about [2-9]\.\d times as ",
+        r"frogkick: the path bends by up to \d+ degrees in the \d+ mm that the robot moves in a period, but "
+        r"the robot turned by \d+ degrees in a period at most: it cannot follow such a path; make the "
+        r"path about [2-9]\.\d times as ",
         tight.stderr,
     ), tight.stderr
     assert "bends" not in frogkick(capsys, *asked, "line").stderr

@@ -176,8 +176,8 @@ def tight_path_advice(log: RunLog, tracked: Tracking) -> str:
     larger = asked_deg / max(turned_deg, 1e-3)
     return (
         f"the path bends by up to {asked_deg:.0f} degrees in the {1e3 * bends.step_m:.0f} mm that the robot "
-        f"moves in a period, and it turned by {turned_deg:.0f} degrees at most: it cannot follow such a "
-        f"path; make it about {larger:.1f} times as large"
+        f"moves in a period, but the robot turned by {turned_deg:.0f} degrees in a period at most: it cannot "
+        f"follow such a path; make the path about {larger:.1f} times as large"
     )
 
 

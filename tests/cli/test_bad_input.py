@@ -194,6 +194,9 @@ CASES = {
     # places that cannot be written to
     "out below a file": "simulate --cycles 1 --out {file}/x.csv",
     "out is a folder": "simulate --cycles 1 --out {folder}",
+    "log out ends in a slash": "run --tables {x.fkt} --out out/",
+    "animation ends in a slash": "simulate --cycles 1 --animation swim.gif/",
+    "a robot that ends in a slash": "robot new out/robot.toml/",
     "library out is a folder": "library build --states 1 --out {folder}",
     "run out below a file": "run --tables {x.fkt} --simulated-time 1 --out {file}/run.h5",
     "tables out is a folder": "tables build {lib.h5} --test-states 4 --out {folder}",
@@ -268,6 +271,14 @@ def test_one_line_exit_two_and_nothing_written(
         ("simulate --phase half", "--phase is 'half', needed is a number (see"),
         ("run --plan nobody", "--plan is 'nobody', which is not one of 'onboard', 'host', 'both' (see"),
         ("simulate {x.fkt}", "x.fkt' is not UTF-8 text (byte 8): name a robot's TOML file"),
+        (
+            "run --tables {x.fkt} --out out/",
+            "cannot write 'out/': a name that ends in a slash is a folder's; name a file in it",
+        ),
+        (
+            "run --tables {x.fkt} --world {x.fkt}",
+            "x.fkt' is not UTF-8 text (byte 8): name a TOML file of effects",
+        ),
         ("push {x.fkt} --robot serial:/dev/null --key {folder}", "cannot be read: Is a directory; check the"),
         ("simulate --actions B --phase 0.2", "--actions uses the robot's own profile"),
         ("study loop --tables {missing.fkt} --out out", "tables '"),

@@ -301,8 +301,8 @@ def test_what_is_no_object_of_ours_is_named(table: fk.Table) -> None:
     for call, text in (
         (lambda: planner.plan("line", [0.0] * 6), "state is .line.: give six numbers"),  # type: ignore[arg-type]
         (lambda: planner.plan(["x"] * 6, "line"), "is not an array of numbers"),
-        (lambda: fk.run(table, np.zeros((9, 2))), "path is a ndarray: .*fk.paths.from_waypoints"),  # type: ignore[arg-type]
-        (lambda: fk.run(table, "line", world=[1]), r"world is a list: give fk.World\(\[...\]\)"),  # type: ignore[arg-type]
+        (lambda: fk.run(table, np.zeros((9, 2))), "path is given as ndarray: .*fk.paths.from_waypoints"),  # type: ignore[arg-type]
+        (lambda: fk.run(table, "line", world=[1]), r"world is given as list: give fk.World\(\[...\]\)"),  # type: ignore[arg-type]
     ):
         with pytest.raises(fk.InputError, match=text):
             call()

@@ -35,6 +35,26 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
     "one velocity": (lambda _: fk.simulate("frog2022", "B", velocity_body=0.02), "0.02: give forward"),
     "a velocity as text": (lambda _: fk.simulate("frog2022", "B", velocity_body="0,0,0"), "'0,0,0': give"),
     "a frequency as text": (lambda _: fk.simulate("frog2022", frequency_hz="0.7"), "frequency_hz is '0.7'"),
+    "actions without an order": (
+        lambda _: fk.simulate("frog2022", {"B", "C"}),
+        "give names, as 'B,B,C' or ['B', 'B', 'C']",
+    ),
+    "a count of each action": (
+        lambda _: fk.simulate("frog2022", {"B": 2}),
+        "actions is {'B': 2}: give names",
+    ),
+    "a velocity without an order": (
+        lambda _: fk.simulate("frog2022", "B", velocity_body={0.1, 0.2, 0.3}),
+        "give forward and left in m/s",
+    ),
+    "a calibration that is not there": (
+        lambda _: fk.Camera("missing.toml"),
+        "calibration 'missing.toml' does not exist: check the path",
+    ),
+    "a robot as a calibration": (
+        lambda robot: fk.Camera(robot),
+        "calibration is given as Robot: give a file's name",
+    ),
     "half a cycle": (lambda _: fk.simulate("frog2022", cycles=2.5), "cycles is 2.5: give 1 or more"),
     "states as a float": (lambda _: fk.build_library("frog2022", 100.0), "states is 100.0: give 1 to 65535"),
     "states as text": (lambda _: fk.build_library("frog2022", "100"), "states is '100': give 1 to 65535"),
@@ -74,6 +94,19 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
         "x_m is not a row of numbers: give x_m",
     ),
     "a folder to save to": (lambda robot: robot.save("."), "cannot write '.': it is a folder"),
+    "a file as the folder to save to": (
+        lambda robot: robot.save(f"{__file__}/robot.toml"),
+        "robot.toml': a folder in this path is a file; choose another --out",
+    ),
+    "a library in no folder": (
+        lambda _: fk.build_library("frog2022", 2, workers=1, out="nofolder/"),
+        "cannot write 'nofolder/': a name that ends in a slash",
+    ),
+    "a folder to make and save to": (
+        lambda robot: robot.save("nofolder/"),
+        "cannot write 'nofolder/': a name that ends in a slash is a folder's; name a file in it",
+    ),
+    "no period": (lambda robot: robot.at_period(0), "period_s is 0: give a time above 0"),
     "a retune of too many states": (
         lambda _: TableMaker(10**9, 0, 1),
         "states is 1000000000: give 1 to 65535",
@@ -99,6 +132,10 @@ OF_A_TABLE: dict[str, tuple[Callable[[Any], object], str]] = {
     "a robot where it is": (lambda t: fk.run(t, robot=t.robot), "--robot is Robot('frog2022'"),
     "a seed that no log holds": (lambda t: fk.run(t, seed=2**63), "a whole number below 2^63"),
     "a folder as a log": (lambda t: fk.run(t, out="."), "is a folder: name a file in it"),
+    "a log in no folder": (
+        lambda t: fk.run(t, out="nofolder/"),
+        "cannot write 'nofolder/': a name that ends",
+    ),
     "a log where none can be": (lambda t: fk.run(t, out="/proc/r.h5"), "cannot write '/proc/r.h5'"),
     "a number as a plan": (lambda t: fk.run(t, plan=5), "5"),
     "a number as a planner": (lambda t: fk.Planner(t, planner=5), "5"),
@@ -108,6 +145,23 @@ OF_A_TABLE: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda t: fk.Planner(t, depth="3"),
         "--depth is '3', allowed is 1 to 4",
     ),
+    "a place beyond the path": (
+        lambda t: fk.Planner(t).plan([0] * 6, "line", along_points=100),
+        "along_points is 100: give 0 to 99, the points of the path counted from 0",
+    ),
+    "no place": (
+        lambda t: fk.Planner(t).plan([0] * 6, "line", along_points=float("nan")),
+        "along_points is nan: give 0 to 99",
+    ),
+    "a use of each of four limbs": (
+        lambda t: fk.Planner(t).plan([0] * 6, "line", limb_use=[0] * 4),
+        "limb_use is [0, 0, 0, 0]: give 8 whole numbers, 0 (rested) to 32767",
+    ),
+    "a share as the use of a limb": (
+        lambda t: fk.Planner(t).plan([0] * 6, "line", limb_use=[0.5] * 8),
+        "give 8 whole numbers",
+    ),
+    "seconds as another path": (lambda t: fk.run(t, then=3), "then is 3, give 'PATH@SECONDS' | Sequence["),
     "a pose alone": (lambda t: fk.Planner(t).plan([0, 0, 0], "line"), "state is [0, 0, 0]: give six numbers"),
     "degrees as radians": (
         lambda t: fk.Planner(t).plan([0, 0, 90, 0, 0, 0], "line"),
@@ -256,7 +310,10 @@ def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
             lambda of: fk.fit_table(of["Library"], progress=5),
             "fit_table: progress is 5, give True, False or a function",
         ),
-        (lambda of: fk.run(of["Table"], then=None), "run: then is None, give Then | Sequence[Then]"),
+        (
+            lambda of: fk.run(of["Table"], then=None),
+            "run: then is None, give 'PATH@SECONDS' | Sequence['PATH@SECONDS']",
+        ),
         (lambda of: fk.run(of["Table"], learn="False"), "run: learn is 'False', give bool"),
         (lambda _: fk.simulate(5.5), "5.5"),
         (lambda _: fk.simulate("frog2022", phase=None), "phase is None: give a number"),

@@ -17,7 +17,7 @@ import typer
 
 from frogkick.cli.common import Result, show, tells_undone
 from frogkick.core.errors import InputError
-from frogkick.core.files import require_writable
+from frogkick.core.files import file_to_write, require_writable
 
 PlanWhere = enum.StrEnum("PlanWhere", ["onboard", "host", "both"])
 PlannerName = enum.StrEnum("PlannerName", ["robot", "paper"])
@@ -26,14 +26,23 @@ Sampling = enum.StrEnum("Sampling", ["box", "visited", "planned"])
 
 @dataclass(frozen=True)
 class With:
-    """What an option has beside its help: the range of its numbers, other names, a name of its value."""
+    """What an option has beside its help.
+
+    Attributes:
+        min: the least number.
+        max: the largest number.
+        names: other names of the option.
+        metavar: name of its value.
+        show_default: whether the help has the default.
+        folder: whether what is written is a folder; None: the command checks it.
+    """
 
     min: float | None = None
     max: float | None = None
     names: tuple[str, ...] = ()
     metavar: str | None = None
     show_default: bool = True
-    folder: bool | None = False  # whether what is written is a folder; None: the command checks it
+    folder: bool | None = False
 
 
 FILE = ("--robot", "--model")
@@ -165,6 +174,8 @@ def with_options(command: Callable[..., Result | Iterator[Result]]) -> Callable[
         if notes and isinstance(notes[0], str):
             more = asdict(notes[1] if len(notes) > 1 else With())
             folders[parameter.name] = more.pop("folder")
+            if parameter.name in WRITTEN and folders[parameter.name] is False:
+                more |= {"parser": file_to_write, "metavar": "<path>"}  # a Path forgets a slash at its end
             own = (f"--{parameter.name.replace('_', '-')}",) if parameter.default is False else ()
             annotation = Annotated[kind, typer.Option(*(more.pop("names") or own), help=notes[0], **more)]
         parameters.append(parameter.replace(annotation=annotation))

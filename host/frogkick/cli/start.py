@@ -10,6 +10,7 @@ import typer
 import frogkick as fk
 from frogkick.cli import options as opt
 from frogkick.cli.common import Result, say
+from frogkick.core.files import file_to_write
 from frogkick.report.style import write_picture
 
 if TYPE_CHECKING:
@@ -119,7 +120,13 @@ def list_robots() -> Result:
 
 
 def new_robot(
-    out: Annotated[Path, typer.Argument(help="TOML file to write; its file name becomes the robot's id.")],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="TOML file to write; its file name becomes the robot's id.",
+            parser=file_to_write,
+        ),
+    ],
     base: Annotated[
         str, "Built-in name or TOML file to start from.", opt.With(names=("--from",))
     ] = "frog2022",
@@ -199,7 +206,7 @@ def _robot_lines(robot: fk.Robot, facts: dict[str, Any]) -> list[str]:
         f"one stroke every {robot.period_s:g} s, pulses of {1e3 * robot.pulse_s:g} ms",
         f"guard: pulses up to {1e3 * guard.pulse_max_s:g} ms, then {guard.rest_min_s:g} s of rest; "
         f"on for up to {100 * guard.duty_max:g} % of {guard.duty_window_s:g} s; "
-        f"{guard.limbs_at_once_max} limbs at once",
+        f"{guard.limbs_at_once_max} limb{'' if guard.limbs_at_once_max == 1 else 's'} at once",
     ]
     for limb in facts["limbs"]:
         x, y = (1e3 * value for value in limb["root_m"])

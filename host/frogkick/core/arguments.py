@@ -17,7 +17,12 @@ from frogkick.core.errors import FrogkickError, InputError
 
 Called = TypeVar("Called", bound=Callable[..., Any])
 
-_PLAIN = {"ArrayLike": "numbers of one shape", "Progress": "True, False or a function of (done, all)"}
+_PLAIN = {
+    "ArrayLike": "numbers of one shape",
+    "Operators": "a function that gives an operator",
+    "Progress": "True, False or a function of (done, all)",
+    "Then": "'PATH@SECONDS'",
+}
 """What is said for the name of a type that says little to a user."""
 
 

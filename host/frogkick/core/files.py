@@ -81,7 +81,22 @@ def csv_numbers(
     return values
 
 
-def require_writable(out: Path | None, folder: bool = False) -> None:
+def file_to_write(given: Path | str) -> Path:
+    """Return the path of a file that will be written.
+
+    Raises:
+        InputError: its name ends in a slash, as only a folder's can; or it is none.
+    """
+    if not isinstance(given, str | os.PathLike):
+        raise InputError(f"file to write is given as {type(given).__name__}: give its name")
+    if str(given).endswith(("/", os.sep)):
+        raise InputError(
+            f"cannot write {str(given)!r}: a name that ends in a slash is a folder's; name a file in it"
+        )
+    return Path(given)
+
+
+def require_writable(out: Path | str | None, folder: bool = False) -> None:
     """Check that --out can be written, before the work begins. Nothing is written.
 
     Raises:
@@ -89,6 +104,7 @@ def require_writable(out: Path | None, folder: bool = False) -> None:
     """
     if out is None:
         return
+    out = Path(out) if folder else file_to_write(out)
     if folder and out.exists() and not out.is_dir():
         raise InputError(f"--out {str(out)!r} is a file: name a folder")
     if not folder and out.is_dir():
@@ -154,17 +170,19 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 
     Raises:
         UnwritableError: the file cannot be written, or the disk is full.
-        InputError: its name is none, or that of a folder.
+        InputError: its name is none, or a folder's.
     """
-    if not isinstance(target, str | os.PathLike):
-        raise InputError(f"file to write is given as {type(target).__name__}: give its name")
-    final = Path(target)
+    final = file_to_write(target)
     made = [place for place in final.parents if not place.exists()]
     try:
         if final.is_dir():
             raise InputError(f"cannot write {str(target)!r}: it is a folder; name a file in it")
         final.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{final.name}.", suffix=final.suffix, dir=final.parent)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise UnwritableError(
+            f"cannot write {str(target)!r}: a folder in this path is a file; choose another --out"
+        ) from error
     except OSError as error:
         raise UnwritableError(
             f"cannot write {str(target)!r}: {error.strerror}; choose another --out"

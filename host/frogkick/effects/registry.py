@@ -202,11 +202,17 @@ def read_world(path: World | Path | str, robot: Robot | None = None) -> World:
             _require_fit(path, robot)
         return path
     if not isinstance(path, Path | str):
-        raise InputError(f"world is a {type(path).__name__}: give fk.World([...]) of effects, or a TOML file")
+        raise InputError(
+            f"world is given as {type(path).__name__}: give fk.World([...]) of effects, or a TOML file"
+        )
     file = existing_file(path, "world file")
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"world file {str(path)!r} is not UTF-8 text (byte {error.start}): name a TOML file of effects"
+        ) from None
+    except (OSError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"world file {str(path)!r} cannot be read as TOML: {error}") from None
     wrong = sorted(set(content) - {"effect"})
     tables = content.get("effect", [])

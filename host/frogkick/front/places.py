@@ -113,7 +113,7 @@ def swim_path(name: SwimPath | Path | str) -> SwimPath:
         return name
     if not isinstance(name, str | Path):
         raise InputError(
-            f"path is a {type(name).__name__}: give a shape's name, a CSV file, or a path, such as "
+            f"path is given as {type(name).__name__}: give a shape's name, a CSV file, or a path, such as "
             "that of fk.paths.from_waypoints"
         )
     name = str(name)

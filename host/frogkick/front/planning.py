@@ -14,7 +14,9 @@ from frogkick.core.errors import InputError
 from frogkick.front.places import plan_config, swim_path
 from frogkick.front.tables import Table, load_table
 from frogkick.paths import Path as SwimPath
+from frogkick.planner.kernel import LIMB_USE_MAX
 from frogkick.planner.plan import PlanError, plan
+from frogkick.tables.layout import LIMBS_MAX
 
 HEADING_MAX_RAD = 4.0 * np.pi
 
@@ -86,7 +88,7 @@ class Planner:
             along_points: last position of the robot along the path, in points; 0 at the start.
 
         Raises:
-            InputError: a state of other than six numbers.
+            InputError: a state of other than six numbers, or limb uses or a position that cannot be.
             PlanError: the state allows no decision.
         """
         if np.shape(state) != (6,) or np.iscomplexobj(state):
@@ -102,6 +104,8 @@ class Planner:
                 "radians, not degrees"
             )
         course = swim_path(path)
+        _require_place(along_points, len(course.x_m) - 1)
+        _require_limb_use(limb_use)
         tables = self.table.tables
         first = plan(tables, course, self.config, state, limb_use, along_points)
         names, poses = [tables.actions[first.action].name], [first.predicted[:3]]
@@ -128,3 +132,26 @@ class Planner:
 
     def __repr__(self) -> str:
         return f"Planner(depth {self.config.depth}, {self.table!r})"
+
+
+def _require_place(along_points: float, last: int) -> None:
+    """Raise InputError for a position along a path that is none of its points or between two of them."""
+    is_number = isinstance(along_points, int | float | np.integer | np.floating)
+    if not is_number or not 0.0 <= float(along_points) <= last:
+        raise InputError(
+            f"along_points is {along_points!r}: give 0 to {last}, the points of the path counted from 0"
+        )
+
+
+def _require_limb_use(limb_use: ArrayLike | None) -> None:
+    """Raise InputError for other than a use of each limb."""
+    if limb_use is None:
+        return
+    if np.shape(limb_use) == (LIMBS_MAX,):
+        given = np.asarray(limb_use)
+        if given.dtype.kind in "iuf" and np.all((given >= 0) & (given <= LIMB_USE_MAX) & (given % 1 == 0)):
+            return
+    raise InputError(
+        f"limb_use is {limb_use!r}: give {LIMBS_MAX} whole numbers, 0 (rested) to {LIMB_USE_MAX}, also for "
+        "a robot of fewer limbs"
+    )

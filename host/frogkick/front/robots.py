@@ -31,17 +31,28 @@ __all__ = ["Camera", "Connection", "Pushed", "connect", "default_key_file", "pus
 VIRTUAL = "virtual"
 
 
+@typed
 @dataclass(frozen=True)
 class Camera:
     """A calibrated camera over the pool, as a source of position fixes.
 
     Attributes:
-        calibration: the file that ``frogkick camera calibrate`` wrote (.toml).
+        calibration: the file that ``frogkick camera calibrate`` wrote (.toml), which is checked at once.
         source: camera number, network camera's address, video file or folder of pictures.
+
+    Raises:
+        InputError: a calibration that does not exist or cannot be used.
     """
 
     calibration: Path | str
     source: str = "0"
+
+    def __post_init__(self) -> None:
+        from frogkick.vision.calibration import read_calibration
+
+        read_calibration(self.calibration)
+        if not isinstance(self.source, str):
+            raise InputError(f"source is {self.source!r}: give a text, as '0' for the first camera")
 
 
 @typed

@@ -122,7 +122,7 @@ def run(
     if not is_real:
         places.require_simulator(robot)
     places.require_plan(plan)
-    require_writable(target)
+    require_writable(out)
     desired = places.swim_path(path)
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
     require_time(time_limit_s)

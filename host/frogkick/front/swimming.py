@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from frogkick.effects.swims import Gait, Trajectory, simulate_actions, simulate_
 from frogkick.robot import Action, Robot, load_robot
 
 SPEED_MAX_MPS = 10.0
+_UNORDERED = (Set, Mapping)
 """No small swimmer is faster: a greater number is of another unit."""
 
 
@@ -74,7 +75,7 @@ def simulate(
 def _velocity(given: Sequence[float]) -> list[float]:
     """Velocity at the start."""
     try:
-        forward, left, turn = (float(number) for number in given)
+        forward, left, turn = (float(number) for number in ([] if isinstance(given, _UNORDERED) else given))
     except (TypeError, ValueError):
         forward = left = turn = math.nan
     if not (max(abs(forward), abs(left)) <= SPEED_MAX_MPS and math.isfinite(turn)):
@@ -97,7 +98,7 @@ def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
             and (letters == known or letters.issuperset(names[0].upper()))
         ):
             names = list(names[0])
-    elif isinstance(actions, Iterable):
+    elif isinstance(actions, Iterable) and not isinstance(actions, _UNORDERED):
         names = list(actions)
     else:
         raise InputError(f"actions is {actions!r}: give names, as 'B,B,C' or ['B', 'B', 'C']")

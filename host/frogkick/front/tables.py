@@ -21,7 +21,14 @@ from frogkick import library as libraries
 from frogkick.core.arguments import typed
 from frogkick.core.chunks import numerical_versions
 from frogkick.core.errors import InputError
-from frogkick.core.files import cache_folder, existing_file, one_at_a_time, sole_writer, write_bytes
+from frogkick.core.files import (
+    cache_folder,
+    existing_file,
+    one_at_a_time,
+    require_writable,
+    sole_writer,
+    write_bytes,
+)
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.effects.registry import own_code
 from frogkick.library import RECORD_S, Library, library_info, wear
@@ -297,6 +304,7 @@ def build_library(
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="frogkick-library-"))
             file = Path(folder) / "library.h5"
         else:
+            require_writable(out)
             file = Path(out)
             stack.enter_context(sole_writer(file))  # and of the checkpoints beside it
         tell = stack.enter_context(shown(progress, "library"))

@@ -18,7 +18,7 @@ import numpy as np
 from frogkick.core.arguments import typed
 from frogkick.core.arrays import Float64
 from frogkick.core.errors import InputError
-from frogkick.core.files import write_text
+from frogkick.core.files import file_to_write, write_text
 from frogkick.robot.profile import Actuation, Profile, actuation
 from frogkick.robot.schema import Battery, Frame, Guard, Limb, PlannerDefaults, VelocityBox
 from frogkick.robot.toml_text import to_toml
@@ -157,7 +157,7 @@ class Robot:
         Raises:
             InputError: the file cannot be written, or an effect's file is unknown.
         """
-        text, target = self.toml, Path(file)
+        text, target = self.toml, file_to_write(file)
         if any("file" in table for table in self.effects):
             if self.folder is None:
                 raise InputError(
@@ -203,8 +203,10 @@ class Robot:
         """The robot with another period and the profile of its frequency; unchanged within ``PERIOD_SAME``.
 
         Raises:
-            InputError: the frequency is outside of the measured profiles.
+            InputError: a period of zero, or a frequency outside of the measured profiles.
         """
+        if period_s == 0.0:
+            raise InputError("period_s is 0: give a time above 0")
         if abs(period_s / self.period_s - 1.0) <= PERIOD_SAME:
             return self
         self.actuation(frequency_hz=1.0 / period_s)

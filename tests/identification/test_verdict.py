@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -159,6 +160,18 @@ def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None
 
 
 @from_ci
+def test_few_periods_do_not_make_a_mean_sure() -> None:
+    """All blocks of a run of no more than a block had one mean, so that any gain was beyond chance."""
+    rng = np.random.default_rng(5)
+    assert mean_interval([np.array([4.6])], rng) == (-math.inf, math.inf)
+    for lengths in ((2,), (3,), (4,), (4, 4, 4), (1, 1, 1), (1, 3)):
+        inside = 0
+        for _ in range(100):
+            low, high = mean_interval([rng.normal(0.0, 1.0, length) for length in lengths], rng)
+            inside += low < 0.0 < high
+        assert inside >= 90, (lengths, inside)
+
+
 def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
     """The best of 20 false candidates gains more than ``gain_by_chance`` in about 5 % of all cases.
 

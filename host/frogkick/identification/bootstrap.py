@@ -22,11 +22,13 @@ def mean_interval(runs: Sequence[Float64], rng: np.random.Generator) -> tuple[fl
     """Interval of the mean of all values of runs, by bootstrap over runs or over blocks of each run.
 
     A bootstrap of few blocks is too narrow: its variance is biased and it lacks the tails of Student's t. Its
-    distances from the mean are widened by both.
+    distances from the mean are widened by both. A single value has no interval: it is infinite.
     """
     from scipy import stats
 
     value = float(np.concatenate(runs).mean())
+    if sum(map(len, runs)) < 2:
+        return -math.inf, math.inf
     drawn = _resampled(runs, rng)
     ends = np.quantile(drawn, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
     many = len(runs) >= RUNS_ENOUGH
@@ -47,8 +49,10 @@ def _resampled(runs: Sequence[Float64], rng: np.random.Generator) -> Float64:
         drawn = rng.integers(len(runs), size=(RESAMPLES, len(runs)))
         return np.asarray(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
     totals, whole = np.zeros(RESAMPLES), 0
-    for run in runs:
-        size = min(BLOCK, len(run))
+    single = [run for run in runs if len(run) == 1]
+    for run in [*(run for run in runs if len(run) > 1), *([np.concatenate(single)] if single else [])]:
+        # All blocks as long as their run would have one mean.
+        size = BLOCK if len(run) > BLOCK else max(len(run) // 2, 1)
         blocks = np.convolve(np.concatenate([run, run[: size - 1]]), np.ones(size), mode="valid")
         count = -(-len(run) // size)
         # As many values as the run has: the last block counts partly.

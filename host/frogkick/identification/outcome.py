@@ -138,7 +138,8 @@ class Outcome:
         count = self.tested.after.count
         if count >= FEW_PERIODS:
             return ""
-        return f"the test runs have only {count} periods: with {FEW_PERIODS} or more a small gain can be told"
+        periods = "1 period" if count == 1 else f"{count} periods"
+        return f"the test runs have only {periods}: with {FEW_PERIODS} or more a small gain can be told"
 
     @cached_property
     def horizons(self) -> list[Horizon]:

@@ -103,6 +103,10 @@ def test_what_is_refused(fetched: FetchedLog, tmp_path: Path, capsys: pytest.Cap
     write_log(tmp_path / "d.h5", FetchedLog("frog2022", 7, ChipLog()))
     assert run_command(words(tmp_path / "d.h5")) == 2
     assert "can be repeated with table" in capsys.readouterr().err
+    write_log(tmp_path / "e.h5", FetchedLog("frog2022", fetched.table_crc, ChipLog()))
+    assert run_command(words(tmp_path / "e.h5")) == 2
+    assert "no decision in 'e.h5' can be repeated, because it has no ARM" in capsys.readouterr().err
+    (tmp_path / "e.h5").unlink()
     for target in ("virtual", "tcp:1", "serail:x"):
         assert run_command(["log", "fetch", "--robot", target, "--out", str(tmp_path / "e.h5")]) == 2
         assert "is not the target of a robot: choose ble:NAME, serial:PORT" in capsys.readouterr().err

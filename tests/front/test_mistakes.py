@@ -112,6 +112,7 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
         "states is 1000000000: give 1 to 65535",
     ),
     "a retune of too few states": (lambda _: TableMaker(45, 0, 1), "states is 45: give 46 or more"),
+    "a retune by no process": (lambda _: TableMaker(800, 0, -1), "workers is -1: give 1 to 256"),
     "a retune with a negative seed": (lambda _: TableMaker(800, -1, 1), "seed is -1: give 0 or more"),
     "a table as runs": (lambda robot: fk.identify(robot, test=[robot]), "runs are given as Robot: give runs"),
     "a run to train on and to test": (
@@ -300,7 +301,10 @@ def test_no_argument_of_another_type_ends_in_an_error_of_pythons(
             "sweep: egain_percent is array(10.), give Sequence",
         ),
         (lambda _: fk.scan("x"), "scan: seconds is 'x', give float"),
-        (lambda of: of["Library"].part([0]), "Library.part: states is [0], give Int64"),
+        (
+            lambda of: of["Library"].part([0]),
+            "Library.part: states is [0], give a NumPy array of whole numbers",
+        ),
         (lambda _: fk.Path(5), "Path: missing a required argument: 'y_m'"),
         (
             lambda _: fk.paths.line(points=None, lenght_m=1),

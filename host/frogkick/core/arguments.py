@@ -19,6 +19,8 @@ Called = TypeVar("Called", bound=Callable[..., Any])
 
 _PLAIN = {
     "ArrayLike": "numbers of one shape",
+    "Given": "a run or its file",
+    "Int64": "a NumPy array of whole numbers",
     "Operators": "a function that gives an operator",
     "Progress": "True, False or a function of (done, all)",
     "Then": "'PATH@SECONDS'",

@@ -179,8 +179,13 @@ def replay_log(
     ):
         found = replay_records(fetched.log, built.image, [opened], tell)
     if not found.segments and not found.mismatches:
+        if opened.crc32 == fetched.table_crc:
+            raise InputError(
+                f"no decision in {name} can be repeated, because it has no ARM, at which the robot logs its "
+                "state: fetch the log during a run, or after it"
+            )
         raise InputError(
             f"no decision in {name} can be repeated with table {opened.crc32:08x}, because the robot used "
-            f"{fetched.table_crc:08x}: give its table with --tables, or fetch after an ARM"
+            f"{fetched.table_crc:08x}: give its table with --tables"
         )
     return found

@@ -22,6 +22,7 @@ from frogkick.identification.outcome import Outcome
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.library import build_library, fit_table
+from frogkick.library.build import require_workers
 from frogkick.library.fitting import WHOLE_MIN, looked_up
 from frogkick.library.sampling import require_draw
 from frogkick.library.transitions import HISTORY, RESTED
@@ -85,6 +86,7 @@ class TableMaker:
     def __post_init__(self) -> None:
         # Checked here, because the identification before its use takes minutes.
         require_draw(self.count, self.seed)
+        require_workers(self.workers)
         if self.count < WHOLE_MIN:
             raise InputError(f"states is {self.count}: give {WHOLE_MIN} or more, as many as a table takes")
 

@@ -147,6 +147,12 @@ def _warm(rods: Rods) -> None:
     simulate_task(rods, rigid_task(np.zeros((1, 3))))
 
 
+def require_workers(workers: int) -> None:
+    """Raise InputError for a number of processes that is out of range."""
+    if not 1 <= workers <= WORKERS_MAX:
+        raise InputError(f"workers is {workers}: give 1 to {WORKERS_MAX}")
+
+
 def build_library(
     robot: Robot,
     states: int,
@@ -171,8 +177,7 @@ def build_library(
     Raises:
         FrogkickError: a worker process died, or the cluster failed; finished parts are kept.
     """
-    if not 1 <= workers <= WORKERS_MAX:
-        raise InputError(f"workers is {workers}: give 1 to {WORKERS_MAX}")
+    require_workers(workers)
     if not 0.0 <= record_s <= RECORD_MAX_S:
         raise InputError(f"record is {record_s} s: give 0 to {RECORD_MAX_S:g}")
     starts = sample_starts(robot, states, seed, sampling, workers, cluster)

@@ -159,7 +159,6 @@ def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None
     assert 0.8 <= inside(True) <= 0.98
 
 
-@from_ci
 def test_few_periods_do_not_make_a_mean_sure() -> None:
     """All blocks of a run of no more than a block had one mean, so that any gain was beyond chance."""
     rng = np.random.default_rng(5)
@@ -172,6 +171,7 @@ def test_few_periods_do_not_make_a_mean_sure() -> None:
         assert inside >= 90, (lengths, inside)
 
 
+@from_ci
 def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
     """The best of 20 false candidates gains more than ``gain_by_chance`` in about 5 % of all cases.
 

@@ -15,8 +15,9 @@ from frogkick.effects.swims import Gait, Trajectory, simulate_actions, simulate_
 from frogkick.robot import Action, Robot, load_robot
 
 SPEED_MAX_MPS = 10.0
-_UNORDERED = (Set, Mapping)
 """No small swimmer is faster: a greater number is of another unit."""
+
+_UNORDERED = (Set, Mapping)
 
 
 @typed

@@ -30,9 +30,10 @@ LINE = placed(shape("line"), (), "0.3,0.4,20", (0.0, 0.0, 0.0))[0]
 def test_a_robot_on_its_path_in_the_pool_may_swim() -> None:
     assert check_start(AT_REST, LINE, POOL_M) == [
         "position fixes: 10 in 1 s, at most 0.0 mm apart",
-        "path: inside the pool, 0 mm from the robot",
+        "path: inside the pool; the robot is 0 mm from it",
     ]
-    assert "not looked at, the pool's size is not known" in check_start(AT_REST, LINE, None)[1]
+    unknown = "path: not compared with the pool, whose size is not known; the robot is 0 mm from it"
+    assert check_start(AT_REST, LINE, None)[1] == unknown
 
 
 def test_batteries_that_nobody_measured_are_said_to_be_unknown_and_how_to_measure_them() -> None:

@@ -118,8 +118,8 @@ def check_start(
             f"the robot is {far_m:.2f} m from its path, {START_MOST_M:g} are allowed: put it there, or give "
             "--begin here"
         )
-    inside = "not looked at, the pool's size is not known" if pool_m is None else "inside the pool"
+    inside = "not compared with the pool, whose size is not known" if pool_m is None else "inside the pool"
     return [
         f"position fixes: {len(fixes)} in {LOOK_S:g} s, at most {1e3 * apart_m.max():.1f} mm apart",
-        f"path: {inside}, {1e3 * far_m:.0f} mm from the robot",
+        f"path: {inside}; the robot is {1e3 * far_m:.0f} mm from it",
     ]

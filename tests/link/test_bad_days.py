@@ -79,7 +79,7 @@ class Day:
         with pytest.raises(error, match=words) as said:
             go()
         assert "\n" not in str(said.value) and "did not confirm DISARM" not in str(said.value)
-        assert self.robot.left_alone()
+        assert self.robot.left_alone(), self.robot.names()
         assert int(self.session.request("STATUS")["state"]) in (STATE["DISARMED"], STATE["FAULT"])
         assert len(read_run(part_of(self.folder / "run.h5")).fixes.x_m) > 3
 

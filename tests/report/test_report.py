@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import base64
 import functools
+import os
 import re
+import subprocess
+import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,6 +16,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from tests.conftest import from_ci
 from tests.identification.made import robot
 from tests.runs import rig
@@ -21,7 +26,7 @@ from frogkick.core.progress import progress_bar
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import figure_uri
-from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog import PathChange, RunLog
 
 # What a page can fetch from elsewhere.
 FETCHING = {"src", "href", "data", "action", "poster", "srcset", "background"}
@@ -119,6 +124,56 @@ def test_no_text_of_a_figure_is_cut_off() -> None:
 @from_ci
 def test_the_same_run_gives_the_same_picture() -> None:
     assert figure_uri(run_figure(short_run(), "t")) == figure_uri(run_figure(short_run(), "t"))
+
+
+@pytest.mark.parametrize(
+    ("settings", "backend"),
+    [("text.usetex: True\nfont.size: 30\nsavefig.dpi: 30\n", "agg"), ("", "nonsense")],
+)
+def test_a_figure_does_not_depend_on_the_user_s_settings(settings: str, backend: str, tmp_path: Path) -> None:
+    """Not even where they need a program that is not there, or name a backend that is none."""
+    (tmp_path / "matplotlibrc").write_text(settings)
+    code = """
+from frogkick.report.style import figure_uri, new_figure
+with new_figure(2, 2) as figure:
+    figure.subplots().plot([0, 1])
+print(figure_uri(figure))
+"""
+    uris = [
+        subprocess.run(
+            [sys.executable, "-c", code], env=os.environ | added, capture_output=True, text=True, check=True
+        ).stdout
+        for added in ({}, {"MPLCONFIGDIR": str(tmp_path), "MPLBACKEND": backend})
+    ]
+    assert len(uris[0]) > 1000 and uris[1] == uris[0]
+
+
+def test_paths_of_a_hold_and_limits_between_walls_are_drawn_as_what_they_are() -> None:
+    run = short_run()
+    assert run.path is not None
+    end_m = run.path.points_m[-1]
+    change = PathChange(2, run.path, hold=(float(end_m[0]), float(end_m[1]), 60))
+    walls = {"wall_x_min_m": -0.1, "wall_x_max_m": 0.9, "wall_y_min_m": -0.2, "wall_y_max_m": 0.5}
+    planner = {**run.planner, "wall_weight_per_m": 1.0, **walls}
+    track = run_figure(replace(run, then=(change,), planner=planner), "a run").axes[0]
+    lines = {line.get_label(): np.asarray(line.get_xydata()) for line in track.lines}
+    points = 100.0 * run.path.points_m
+    assert lines["desired path"] == pytest.approx(points)
+    assert lines["approach of the hold"] == pytest.approx(points[:61])
+    assert lines["circle of the hold"] == pytest.approx(points[60:])
+    (limit,) = (patch for patch in track.patches if isinstance(patch, Rectangle))
+    assert limit.get_bbox().extents.tolist() == pytest.approx([-10.0, -20.0, 90.0, 50.0])
+
+
+def test_actions_with_words_for_names_are_numbers_on_the_track() -> None:
+    words = tuple(f"stroke {name}" for name in short_run().action_names)
+    axes = run_figure(replace(short_run(), action_names=words), "a run").axes
+    decided = short_run().decisions.action
+    assert [text.get_text() for text in axes[0].texts] == [str(index + 1) for index in decided]
+    assert [text.get_text() for text in axes[2].get_yticklabels()][:2] == [
+        f"{words[0]} (1)",
+        f"{words[1]} (2)",
+    ]
 
 
 def test_a_page_escapes_what_it_is_given(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 
 from frogkick.core.arrays import Float64
 from frogkick.core.poses import PredictionError, wrap_angle
@@ -64,11 +64,44 @@ def _beside(points: Float64) -> Float64:
     return np.asarray(7.0 * np.column_stack([-along[:, 1], along[:, 0]]))
 
 
-def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
-    for number, (_, path) in enumerate(run.paths):
-        label = "_" if number else "desired path" if not run.then else "desired paths"
+def _marks(run: RunLog) -> list[str]:
+    """A letter or a number for each action, as words at each decision of a track would overlap."""
+    if all(len(name) == 1 for name in run.action_names):
+        return list(run.action_names)
+    return [str(number + 1) for number in range(len(run.action_names))]
+
+
+def _desired(axes: Axes, run: RunLog) -> None:
+    """Draw the desired paths; of one that holds, the approach and the circle unlike a path."""
+    holds = [None, *(change.hold for change in run.then)][-len(run.paths) :] if run.paths else []
+    drawn: set[str] = set()
+    for (_, path), hold in zip(run.paths, holds, strict=True):
         points = 100.0 * path.points_m
-        axes.plot(*points.T, color=style.DESIRED, linewidth=2.5, linestyle="--", label=label)
+        parts = [("desired path", points, style.look(linestyle="--", linewidth=2.5))]
+        if hold is not None:
+            first = hold[2]
+            parts = [("approach of the hold", points[: first + 1], style.look(linestyle=":", linewidth=1.5))]
+            parts.append(("circle of the hold", points[first:], style.look(linestyle="-", linewidth=0.8)))
+        for label, part, look in parts:
+            if len(part) > 1:
+                axes.plot(*part.T, color=style.DESIRED, label="_" if label in drawn else label, **look)
+                drawn.add(label)
+
+
+def _walls(axes: Axes, run: RunLog) -> None:
+    """Draw the rectangle in which the planner keeps the robot's centre, for a run between walls."""
+    known = run.planner
+    if not known.get("wall_weight_per_m"):
+        return
+    low = 100.0 * np.array([known["wall_x_min_m"], known["wall_y_min_m"]])
+    wide, tall = 100.0 * np.array([known["wall_x_max_m"], known["wall_y_max_m"]]) - low
+    label = "limit of the centre, from the walls"
+    axes.add_patch(Rectangle((low[0], low[1]), wide, tall, fill=False, color=style.ALARM, label=label))
+
+
+def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
+    _desired(axes, run)
+    _walls(axes, run)
     usable = run.fixes.usable
     fixes = 100.0 * np.column_stack([run.fixes.x_m, run.fixes.y_m])[usable]
     axes.plot(*fixes.T, ".", color=style.MEASURED, markersize=2.5, label="position fixes")
@@ -77,14 +110,11 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
         axes.plot(*track.T, color=style.TRUE, linewidth=1.5, label="true track")
     ways = (np.interp(run.decisions.time_s, seen.time_s, column) for column in seen.poses[:, :2].T)
     here = 100.0 * np.column_stack(list(ways))
-    names = run.decided()
     axes.plot(*here.T, "o", color=seen.colour, markersize=3)
-    words = any(len(name) > 1 for name in names)
-    for number, ((x, y), name, offset) in enumerate(zip(here, names, _beside(here), strict=True)):
-        # Words at each decision would overlap.
-        again = words and number > 0 and names[number - 1] == name
+    marks = [_marks(run)[index] if index >= 0 else "?" for index in run.decisions.action]
+    for (x, y), mark, offset in zip(here, marks, _beside(here), strict=True):
         look = style.look(textcoords="offset points", ha="center", va="center", fontsize=7, color=seen.colour)
-        axes.annotate("" if again else name, (x, y), (offset[0], offset[1]), **look)
+        axes.annotate(mark, (x, y), (offset[0], offset[1]), **look)
     for x_m, y_m in sorted({end_m for _, _, end_m in spans_of(run)}):
         limit = Circle((100.0 * x_m, 100.0 * y_m), 100.0 * HOLD_LIMIT_M, fill=False, color=style.ALARM)
         limit.set(linestyle=":", label=f"within {1e3 * HOLD_LIMIT_M:.0f} mm of the end")
@@ -113,7 +143,9 @@ def _distance(axes: Axes, run: RunLog, seen: _Seen) -> None:
 def _actions(axes: Axes, run: RunLog, seen: _Seen) -> None:
     axes.step(run.decisions.time_s, run.decisions.action, where="post", color=seen.colour, linewidth=0.8)
     axes.plot(run.decisions.time_s, run.decisions.action, "s", color=seen.colour, markersize=4)
-    axes.set_yticks(range(len(run.action_names)), list(run.action_names))
+    marks = zip(_marks(run), run.action_names, strict=True)
+    ticks = [name if mark == name else f"{name} ({mark})" for mark, name in marks]
+    axes.set_yticks(range(len(run.action_names)), ticks)
     axes.set(ylabel="action", title="Actions chosen")
 
 

@@ -58,8 +58,9 @@ def styled() -> Iterator[None]:
     """Draw in the common style, whatever the user's own settings are, and without a screen."""
     import matplotlib
 
-    matplotlib.use("Agg")
-    with matplotlib.rc_context(_SETTINGS):
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_SETTINGS)
         yield
 
 
@@ -137,7 +138,7 @@ def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120
 def png_of(figure: Figure) -> bytes:
     """Return a new figure as a PNG. A layout that was drawn once may come out differently the next time."""
     buffer = io.BytesIO()
-    with _any_letters():
+    with styled(), _any_letters():
         figure.savefig(buffer, format="png", dpi=120, metadata={"Software": None})
     return buffer.getvalue()
 

@@ -34,6 +34,23 @@ def test_no_pose_without_a_tag() -> None:
     assert false == []
 
 
+def test_a_mirrored_picture_is_named() -> None:
+    usual = scene()
+    tracker = Tracker(calibration(usual))
+    image = usual.picture((0.5, 0.5, 1.0), np.random.default_rng(3))
+    assert tracker.observe(np.ascontiguousarray(image[:, ::-1])).reason == "mirrored"
+    assert tracker.observe(image).reason == "found"
+    # A reflection of a tag that was seen the right way round is none of its pictures.
+    assert tracker.observe(np.ascontiguousarray(image[:, ::-1])).reason == "no tag"
+
+
+def test_a_picture_that_is_nearly_black_is_named() -> None:
+    usual = scene()
+    tracker = Tracker(calibration(usual))
+    image = usual.picture((0.5, 0.5, 1.0), np.random.default_rng(3))
+    assert tracker.observe((image // 20).astype(np.uint8)).reason == "too dark"
+
+
 @pytest.mark.parametrize("wrong", [1, 2, 3, 5])
 def test_a_tag_with_wrong_cells_is_none(wrong: int) -> None:
     """Codes differ in 11 cells. A tag with a cell that is clearly wrong is refused."""

@@ -9,9 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from tests.vision.scenes import calibration, scene, scene_frames
 
 from frogkick.core.errors import InputError
+from frogkick.vision.board import picture_files, read_picture
 from frogkick.vision.sources import FROZEN_FRAMES, live_frames, open_source
 from frogkick.vision.tracker import Tracker
 
@@ -33,6 +35,47 @@ def test_a_folder_of_pictures(tmp_path: Path) -> None:
     frames = list(open_source(str(tmp_path), rate_hz=4.0))
     assert [int(frame.image[0, 0]) for frame in frames] == [10, 20]
     assert [frame.capture_s for frame in frames] == [0.0, 0.25]
+
+
+def test_numbers_in_names_count_by_their_value(tmp_path: Path) -> None:
+    names = ["frame2.png", "frame10.png", "frame0.png", "Frame1.png", "board 7 b.png", "board 7 a2.png"]
+    for name in names:
+        (tmp_path / name).touch()
+    ordered = [file.name for file in picture_files(tmp_path)]
+    assert ordered == [
+        "board 7 a2.png",
+        "board 7 b.png",
+        "frame0.png",
+        "Frame1.png",
+        "frame2.png",
+        "frame10.png",
+    ]
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+def test_a_note_to_turn_a_picture_is_ignored(turn: int, tmp_path: Path) -> None:
+    """Else half of a board's pictures, taken with the phone upright, give a lens that is off."""
+    levels = np.zeros((16, 24), np.uint8)
+    levels[:4, :4] = 200
+    note = Image.Exif()
+    note[274] = turn
+    Image.fromarray(levels).save(tmp_path / "turned.png", exif=note)
+    assert np.array_equal(read_picture(tmp_path / "turned.png"), levels)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_levels_of_more_than_8_bits_are_scaled(bits: int, tmp_path: Path) -> None:
+    levels = np.array(
+        [[0, (1 << bits) - 1], [1 << (bits - 1), 3 << (bits - 2)]], np.uint8 if bits == 8 else np.uint16
+    )
+    cv2.imwrite(str(tmp_path / "deep.png"), levels)
+    assert read_picture(tmp_path / "deep.png").tolist() == [[0, 255], [128, 192]]
+
+
+def test_levels_that_are_no_whole_numbers_are_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "float.tiff"), np.full((8, 8), 0.5, np.float32))
+    with pytest.raises(InputError, match=r"float\.tiff' has levels of type float32: store 8 or 16 bits"):
+        read_picture(tmp_path / "float.tiff")
 
 
 def test_a_video(tmp_path: Path) -> None:

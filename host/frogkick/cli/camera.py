@@ -197,7 +197,12 @@ def track(
         f"{found['fixes']} fixes from {found['pictures']} pictures, {found['rate_hz']:.1f} a second"
         f"{f'; pictures without a fix: {why}' if why else ''}"
     )
-    return Result(found, [], bool(found["fixes"]), [remark])
+    remarks = [remark]
+    if found["behind_s"]:
+        remarks.append(
+            f"the pictures took {found['behind_s']:.1f} s longer to play than to take: a busy machine"
+        )
+    return Result(found, [], bool(found["fixes"]), remarks)
 
 
 def picture(out: Annotated[Path, "Picture to write (.png or .jpg)."], source: SourceOption = "0") -> Result:

@@ -269,7 +269,7 @@ def track_camera(
 
     The arguments are the options of the command ``camera track``; ``each`` is called with each fix. Returned
     are the command's keys; ``reasons`` has the number of pictures with a fix ("found"), and by each reason
-    without one.
+    without one; ``behind_s`` is how much longer a video or a folder took to play than to take.
     """
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise InputError(f"the duration is {seconds} s: give more than 0")
@@ -298,7 +298,8 @@ def track_camera(
         "fixes": count,
         "pictures": sum(camera.reasons.values()),
         "rate_hz": (count - 1) / lasted_s if lasted_s > 0.0 else 0.0,
-        "reasons": dict(camera.reasons),
+        "reasons": {reason: number for reason, number in camera.reasons.items() if number},
+        "behind_s": round(camera.behind_s, 3),
     }
 
 

@@ -27,6 +27,8 @@ from frogkick.vision.video import Video, jpeg
 POLL_S = 0.002
 KEEP_S = 2.0
 """Age beyond which a fix is dropped, because the robot would refuse it."""
+BEHIND_S = 0.5
+"""A video or a folder whose pictures are later than this is played that much later from there on."""
 AGE_MAX_S, FIELD_M = 10.0, 1000.0
 """Limits of a line's age, and of its x and y."""
 _LINE_MAX = 200  # bytes without a line's end after which they are taken for a line
@@ -87,11 +89,16 @@ class FixBuffer:
         now_s = self._clock()
         fixes = []
         for captured_s, pose in taken:
-            if now_s - captured_s <= KEEP_S:
-                capture_s = until_s - (now_s - captured_s)
-                fixes.append(Fix(capture_s, until_s - capture_s, *pose, sequence=self._sequence))
-                self._sequence = (self._sequence + 1) & 0xFFFF
+            if now_s - captured_s > KEEP_S:
+                self._note_too_old()
+                continue
+            capture_s = until_s - (now_s - captured_s)
+            fixes.append(Fix(capture_s, until_s - capture_s, *pose, sequence=self._sequence))
+            self._sequence = (self._sequence + 1) & 0xFFFF
         return fixes
+
+    def _note_too_old(self) -> None:
+        """A fix was dropped because of its age."""
 
     def actuate(self, limb: int, start_s: float) -> None:
         """No effect, because the tracker sees the real limbs."""
@@ -191,11 +198,13 @@ class CameraFixes(FixBuffer):
     """A ``FixSource`` that finds the robot's tag in each picture; poses are in the world frame.
 
     A live picture is captured when the driver hands it over. Pictures of a video or a folder are played at
-    the rate at which they were taken.
+    the rate at which they were taken, or slower where this machine needs longer for them: none is dropped.
 
     Attributes:
         calibration: of the camera.
-        reasons: number of pictures with a pose (``found``), and of those without, by reason.
+        reasons: number of pictures that gave a fix (``found``), and of the others, by reason; a fix that was
+            older than KEEP_S when it was asked for counts as ``too late``.
+        behind_s: how much longer a video or a folder took to play than to take.
         newest: the last picture; None before the first.
     """
 
@@ -210,6 +219,7 @@ class CameraFixes(FixBuffer):
         super().__init__(name, clock)
         self.calibration = calibration
         self.reasons: Counter[str] = Counter()
+        self.behind_s = 0.0
         self.newest: Sighting | None = None
         self._frames, self._tracker = frames, Tracker(calibration)
         self._stop = threading.Event()
@@ -256,6 +266,11 @@ class CameraFixes(FixBuffer):
             )
         return fixes
 
+    def _note_too_old(self) -> None:
+        with self._lock:
+            self.reasons["found"] -= 1
+            self.reasons["too late"] += 1
+
     def film(self, video: Video) -> None:
         """Write each picture from now on to a video, after its fix was found."""
         self._video = video
@@ -271,9 +286,12 @@ class CameraFixes(FixBuffer):
             for frame in self._frames:
                 captured_s = frame.capture_s
                 if not frame.live:
-                    begin_s = self._clock() - frame.capture_s if begin_s is None else begin_s
-                    captured_s += begin_s
-                    self._stop.wait(max(0.0, captured_s - self._clock()))
+                    now_s = self._clock()
+                    begin_s = now_s - frame.capture_s if begin_s is None else begin_s
+                    late_s = now_s - begin_s - self.behind_s - frame.capture_s
+                    self.behind_s += late_s if late_s > BEHIND_S else 0.0
+                    captured_s += begin_s + self.behind_s
+                    self._stop.wait(max(0.0, captured_s - now_s))
                 if self._stop.is_set():
                     return
                 with self._lock:

@@ -6,6 +6,7 @@ The plane comes from a board that is laid on it, or from the pool's four corners
 from __future__ import annotations
 
 import csv
+import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -100,21 +101,38 @@ def picture_files(folder: Path | str) -> list[Path]:
     place = Path(folder)
     if not place.is_dir():
         raise InputError(f"folder of pictures {str(folder)!r} does not exist: check the path")
-    names = sorted(file for file in place.iterdir() if file.suffix.lower() in PICTURE_ENDINGS)
+    names = [file for file in place.iterdir() if file.suffix.lower() in PICTURE_ENDINGS]
     if not names:
         raise InputError(f"folder {str(folder)!r} holds no picture ({', '.join(PICTURE_ENDINGS)})")
-    return names
+    return sorted(names, key=_by_number)
+
+
+def _by_number(file: Path) -> tuple[list[tuple[str, int]], str]:
+    """Sort key of a name in which numbers count by their value: frame2 comes before frame10."""
+    parts = re.findall(r"([^0-9]*)([0-9]*)", file.name.lower())
+    return [(text, int(digits or -1)) for text, digits in parts], file.name
 
 
 def read_picture(path: Path | str) -> UInt8:
-    """Read a picture as grey levels.
+    """Read a picture as grey levels, as the camera's sensor delivered it.
+
+    A note in the file that viewers should turn the picture (EXIF) is ignored: a lens and a pool are
+    calibrated in the sensor's pixels, which do not turn with the camera. Levels of more than 8 bits are
+    scaled down.
 
     Raises:
-        InputError: it is no picture that can be read.
+        InputError: it is no picture that can be read, or its levels are not whole numbers.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if Path(path).is_file() else None
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH
+    image = cv2.imread(str(path), flags) if Path(path).is_file() else None
     if image is None:
         raise InputError(f"{str(path)!r} is not a readable picture: check the path and the file")
+    if image.dtype == np.uint16:
+        # Sensors of 10, 12 or 14 bits are stored in 16, of which they leave the highest unused.
+        bits = next(each for each in (8, 10, 12, 14, 16) if int(image.max()) < 1 << each)
+        image = np.right_shift(np.asarray(image, dtype=np.uint16), bits - 8)
+    elif image.dtype != np.uint8:
+        raise InputError(f"{str(path)!r} has levels of type {image.dtype}: store 8 or 16 bits for each pixel")
     return np.asarray(image, dtype=np.uint8)
 
 

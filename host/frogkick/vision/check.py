@@ -8,13 +8,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from frogkick.core.arrays import UInt8
 from frogkick.core.errors import InputError
 from frogkick.core.files import csv_numbers, existing_file
 from frogkick.core.poses import wrap_angle
+from frogkick.vision.board import read_picture
 from frogkick.vision.calibration import Calibration, camera_of
 from frogkick.vision.pose import tag_place
 from frogkick.vision.scene import Conditions, Scene, Viewpoint
@@ -85,13 +85,10 @@ def known_places(path: Path | str) -> Iterable[tuple[UInt8, float, float, float]
     with Path(path).open(encoding="utf-8-sig", newline="") as handle:
         names = [row.get("image") or "" for row in csv.DictReader(handle)]
     for name, (x, y, heading) in zip(names, rows, strict=True):
-        picture = existing_file(Path(path).parent / name, "picture") if name else None
-        image = None if picture is None else cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise InputError(
-                f"{str(path)!r} names {name!r}, which is not a picture: the column 'image' names files"
-            )
-        yield image.astype(np.uint8), float(x), float(y), float(np.deg2rad(heading))
+        if not name:
+            raise InputError(f"{str(path)!r} has a row without a picture: the column 'image' names files")
+        picture = existing_file(Path(path).parent / name, "picture")
+        yield read_picture(picture), float(x), float(y), float(np.deg2rad(heading))
 
 
 def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:

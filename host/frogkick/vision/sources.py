@@ -195,4 +195,5 @@ def _opened(where: int | str, what: str) -> cv2.VideoCapture:
     if not capture.isOpened():
         capture.release()
         raise InputError(f"{what} cannot be opened: {hint}")
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # in the sensor's pixels, as board.read_picture has them
     return capture

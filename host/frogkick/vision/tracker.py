@@ -20,7 +20,17 @@ from frogkick.vision.pose import Pose, solve_pose, tag_place
 from frogkick.vision.tags import STANDARD, dictionary, find_standard, picture_order
 from frogkick.vision.template import Fit, fit_template, likeliest_turn, templates
 
-Reason = Literal["found", "no tag", "doubled", "unclear", "not flat", "wrong size", "outside the pool"]
+Reason = Literal[
+    "found",
+    "no tag",
+    "too dark",
+    "mirrored",
+    "doubled",
+    "unclear",
+    "not flat",
+    "wrong size",
+    "outside the pool",
+]
 
 RESIDUAL_MAX = 0.16
 """Largest residual of a fit over the contrast; above it the print is half covered, in glare or torn."""
@@ -37,6 +47,8 @@ HEADING_SD_MAX_RAD = float(np.deg2rad(0.5))
 SPOILT, BENT_PX, SPOILT_SD_MAX_RAD = 0.05, 0.15, float(np.deg2rad(0.12))
 """Residual and misfit from which a fit may follow glare instead of the print, and the limit of the heading's
 standard deviation for such a fit, whose true error is larger."""
+DARK_LEVEL = 16
+"""A picture with a hundredth of its pixels or less above this grey level (of 255) shows no tag."""
 MARGIN_M = 0.05
 """Poses are accepted so far beyond the pool's walls."""
 SMALL_PX = 45.0
@@ -61,6 +73,7 @@ class Tracker:
         self._calibration = calibration
         self._templates = templates(calibration.tag.family, calibration.tag.id)
         self._last: Float64 | None = None
+        self._was_seen = False  # the tag, the right way round, since the start
         middle = np.array([[calibration.pool_m[0] / 2, calibration.pool_m[1] / 2]])
         half = calibration.tag.size_m / 2
         ends = calibration.pixels(middle + np.array([[-half, 0.0], [half, 0.0]]))
@@ -88,9 +101,22 @@ class Tracker:
                 f"the frame is {grey.shape[1]} x {grey.shape[0]} px, the calibration is for {width} x "
                 f"{height}: set the camera to that or calibrate again"
             )
-        seen = self._look(np.ascontiguousarray(grey))
+        grey = np.ascontiguousarray(grey, dtype=np.uint8)
+        seen = self._look(grey)
         self._last = seen.corners_px if seen.pose is not None else None
+        self._was_seen = self._was_seen or seen.corners_px is not None
+        if seen.reason == "no tag":
+            seen = replace(seen, reason=self._why_none(grey))
         return seen
+
+    def _why_none(self, grey: UInt8) -> Reason:
+        """The likely reason why a complete picture shows no tag."""
+        if np.percentile(grey, 99.0) <= DARK_LEVEL:
+            return "too dark"
+        tag = self._calibration.tag
+        if not self._was_seen and find_corners(grey[:, ::-1], tag.id, self._side_px, tag.family)[0]:
+            return "mirrored"
+        return "no tag"
 
     def _look(self, grey: UInt8) -> Observation:
         height, width = grey.shape

@@ -153,6 +153,19 @@ static int32_t is_full(const fk_guard_limb_t *limb, uint64_t until_us)
     return limb->start_us[limb->next] + limb->on_us[limb->next] > window_from_us(until_us);
 }
 
+uint32_t fk_guard_remembered(const fk_guard_limb_t *limb, uint64_t now_us)
+{
+    const uint64_t from_us = window_from_us(now_us);
+    uint32_t count = FK_GUARD_HISTORY;
+    for (uint32_t at = limb->next; count > 0u; --count, ++at) {
+        const uint32_t entry = at % FK_GUARD_HISTORY;
+        if (limb->start_us[entry] + limb->on_us[entry] > from_us) {
+            break;
+        }
+    }
+    return count;
+}
+
 static uint32_t last_entry(const fk_guard_limb_t *limb)
 {
     return (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;

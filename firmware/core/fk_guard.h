@@ -105,6 +105,9 @@ uint64_t fk_guard_lost_us(const fk_guard_t *guard);
 /* 1 where every checksum is right, else 0: memory is damaged, and the history cannot be relied on. */
 int32_t fk_guard_is_sound(const fk_guard_t *guard);
 
+/* How many of a limb's latest pulses may still count at now_us or later; the others have left the duty window. */
+uint32_t fk_guard_remembered(const fk_guard_limb_t *limb, uint64_t now_us);
+
 /* May these limbs be heated from now on? If so the pulse is entered in each one's history; else nothing is changed.
  * @param limb_mask  bit i = limb i
  * @param pulse_us   how long

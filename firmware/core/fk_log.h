@@ -23,8 +23,8 @@
 
 #define FK_LOG_HEAD_BYTES 10u
 #define FK_LOG_CONTENT_MAX 255u
-#define FK_LOG_SNAPSHOT_EVERY_BYTES 6144u /* of other records between snapshots; a host that replays the log has the same */
-#define FK_LOG_SNAPSHOT_MAX_BYTES 6784u   /* all records of one snapshot, with their heads: fk_snapshot.c */
+#define FK_LOG_SNAPSHOT_EVERY_BYTES 4096u /* of other records between snapshots; a host that replays the log has the same */
+#define FK_LOG_SNAPSHOT_MAX_BYTES 5888u   /* all records of one snapshot, with their heads: fk_snapshot.c */
 #define FK_LOG_WAITING_BYTES 1408u        /* of records while a snapshot that is due waits for the pulses of a stroke */
 
 /* So that the log of an armed robot always holds a whole snapshot, unless a host sends more than that while it waits. */

@@ -113,6 +113,8 @@ int32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame, uint32_
     }
     if (wants_snapshot(robot, frame->type)) {
         fk_robot_log_snapshot(robot);
+        robot->log_broken = 0u;
+        robot->log_mark = robot->log->end;
     }
     if (is_of_tables(frame->type)) {
         robot->log_broken = 1u;

@@ -97,7 +97,7 @@ struct fk_robot {
 };
 
 /* fk_snapshot.c */
-void fk_robot_log_snapshot(fk_robot_t *robot);
+void fk_robot_log_snapshot(const fk_robot_t *robot);
 
 /* fk_robot_log.c. Nothing is written where there is no log. */
 #define FK_LOG_UNFINISHED (-128)   /* status of a command that the robot has not yet done */

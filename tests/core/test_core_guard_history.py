@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.conftest import some
 from tests.core.core import FFI, LATE_US, Robot, cases, core, kept_of, library, mutated
-from tests.core.log_rig import Log
+from tests.core.log_rig import Log, robot_with_log
 from tests.core.test_core_guard import ON_MAX_US, PULSE_MAX_US, REST_US, WINDOW_US, Guard
 from tests.core.test_core_supervisor import LATE, state_and_fault
 
@@ -138,6 +138,37 @@ def test_a_damaged_history_of_the_guard(between: str) -> None:
         again = Robot(now_us=0, heat_known=False)
         core().fk_robot_note_reset(again.memory, RESET["SOFTWARE"], robot.kept)
         assert again.ask("STATUS")["rest_us"] == UNKNOWN_REST_US
+
+
+def test_a_snapshot_writes_nothing_to_the_robot() -> None:
+    """It gave the guard's numbers back as it had written them, without the bits that had flipped."""
+    robot, _ = robot_with_log()
+    assert robot.begin("ARMED").stroke("A") == "OK"
+    assert robot.tick().limb_mask == 0b0011
+    guard, all_of_it = FFI.buffer(FFI.addressof(robot.memory, "guard")), FFI.buffer(robot.memory)
+    whole = bytes(guard)
+    for bit in range(8 * len(whole)):
+        guard[:] = flipped(whole, bit)
+        before = bytes(all_of_it)
+        core().fk_robot_log_snapshot(robot.memory)
+        assert bytes(all_of_it) == before, bit
+
+
+def test_a_history_that_is_damaged_before_arm_allows_nothing_with_a_log_either() -> None:
+    """ARM's snapshot healed 139 bits: of one limb's next entry, of whether it was cut, of the loop."""
+    ends = [8 * (160 * limb + at) for limb in range(4) for at in range(152, 160)]
+    loop = range(8 * 8 * 160, 8 * FFI.sizeof("fk_guard_t"), 8)
+    every = 1 if cases(1, 2) == 2 else 97
+    bits = {at + bit for at in (*ends, *loop) for bit in range(8)} | set(range(0, 8 * 8 * 160, every))
+    for bit in sorted(bits):
+        robot, _ = robot_with_log()
+        robot.tick()
+        core().fk_test_spoil_guard(robot.memory, bit)
+        robot.status("ARM")
+        robot.tick()
+        robot.stroke("A")
+        assert robot.run_until(robot.now_us + 300_000) == [], bit
+        assert state_and_fault(robot) == ("FAULT", "GUARD", 0)
 
 
 @pytest.mark.parametrize("content", ["never told", "lost", "damaged", "whole"])

@@ -250,7 +250,7 @@ def test_there_is_always_a_whole_snapshot() -> None:
         robot.path(100)
         parts = [r for records in fetched(robot).records() for r in records if r.name == "SNAPSHOT"]
         assert any(r.values["last"] for r in parts)
-    assert 2500 < largest(parts) < 4096
+    assert 2000 < largest(parts) < 2400
 
 
 def largest(parts: Iterable[Record]) -> int:
@@ -277,7 +277,7 @@ def test_a_snapshot_of_two_whole_paths_fits_too() -> None:
         records = [r for records in fetched(robot).records() for r in records]
         sizes.append(largest(r for r in records if r.name == "SNAPSHOT"))
     assert robot.state() == "RUNNING"
-    assert 4300 < max(sizes) <= 6784, "FK_LOG_SNAPSHOT_MAX_BYTES"
+    assert 3500 < max(sizes) <= 5888, "FK_LOG_SNAPSHOT_MAX_BYTES"
 
 
 def test_nothing_of_the_memory_as_found_is_in_a_snapshot() -> None:
@@ -301,7 +301,7 @@ def test_no_snapshot_while_a_pulse_of_a_stroke_is_due() -> None:
     robot.begin("ARMED")
 
     def flooded() -> int:
-        for _ in range(40):
+        for _ in range(17):
             robot.path(18)
         return sum(bool(r.values.get("last")) for records in fetched(robot).records() for r in records)
 

@@ -185,7 +185,7 @@ def test_a_wrong_bit_of_a_snapshot_is_a_mismatch() -> None:
     records = [record for found in log.records() for record in found]
     parts = [record for record in records if record.name == "SNAPSHOT"]
     dice = random.Random(2)
-    assert len(parts) > 20
+    assert len(parts) > 15
     whole = len([record for record in parts if record.values["last"]])
     for record in parts[:: count(1, 1, 4)]:
         content = bytearray(record.content)
@@ -392,53 +392,6 @@ def test_another_table_is_not_decided_by_this_one() -> None:
     reported = replay_log(fetched(run(8, 3.0)), library(), [])
     assert (reported.segments, reported.replayed, reported.mismatches) == (0, 0, [])
     assert reported.records > 0
-
-
-# The core's own side
-
-
-def snapshot_of(robot: Robot) -> bytes:
-    parts = [r for r in fetched(robot).records()[0] if r.name == "SNAPSHOT"]
-    last = max(i for i, record in enumerate(parts) if record.values["part"] == 0)
-    return b"".join(record.rest for record in parts[last:])
-
-
-def restored(snapshot: bytes, robot: Robot | None = None) -> int:
-    robot = robot_with_log()[0] if robot is None else robot
-    return int(robot.core.fk_robot_restore(robot.memory, snapshot, len(snapshot)))
-
-
-def test_a_snapshot_of_another_length_is_refused() -> None:
-    snapshot = snapshot_of(run(9, 10.0))
-    assert restored(snapshot) == 0
-    assert restored(snapshot + b"\0") == -1
-    for size in range(0, len(snapshot), 97):
-        assert restored(snapshot[:size]) == -1
-
-
-FIX: dict[str, Value] = {
-    "fix_sequence": 9, "quality": 1, "capture_age_us": 1000, "x_m": 0.1, "y_m": 0.0, "heading_rad": 0.0,
-}  # fmt: skip
-
-
-def test_no_damaged_snapshot_leads_out_of_memory() -> None:
-    """Any bytes are taken or refused; what is taken can be lived with."""
-    robot = run(9, 10.0)
-    snapshot, then_us = snapshot_of(robot), robot.now_us
-    dice, refused, many = random.Random(3), 0, max(800, cases(2000, 100_000))
-    for _ in range(many):
-        spoilt = bytearray(snapshot)
-        for _ in range(dice.randint(1, 5)):
-            spoilt[dice.randrange(len(spoilt))] = dice.choice((0, 1, 255, dice.randrange(256)))
-        if restored(bytes(spoilt), robot):
-            refused += 1
-            continue
-        robot.now_us = then_us
-        for _ in range(3):
-            robot.post("FIX", FIX)
-            robot.take()
-            robot.tick(robot.now_us + 700_000)
-    assert 0 < refused < many
 
 
 def test_the_ring_is_as_long_as_it_says() -> None:

@@ -254,7 +254,8 @@ class _Reader:
         return np.frombuffer(struct.pack(f"<{count}I", *self.take(f"{count}I")), dtype="<f4").copy()
 
     def points(self) -> Points:
-        total, count = self.take("BB")
+        total = self.one("B", PATH_POINTS_MAX)
+        count = self.one("B", total)
         return Points(self.floats(count), self.floats(count), self.floats(count), total)
 
 
@@ -313,6 +314,8 @@ def _read_track(reader: _Reader, estimator: Estimator, tables: Tables) -> None:
     track._learned, prediction_valid = reader.take("BB")
     track._prediction_valid = bool(prediction_valid)
     count = reader.one("B", INSTANTS)
+    if count == 1:
+        raise SnapshotError("a snapshot holds one instant of the track, a period has two: fetch it again")
     _read_wear(reader, track, tables)
     size = 2 * count
     track._predicted = reader.floats(3)
@@ -320,7 +323,9 @@ def _read_track(reader: _Reader, estimator: Estimator, tables: Tables) -> None:
     for _ in range(2):
         process_noise.append(reader.floats(1)[0])
         predicted.append(reader.floats(1)[0])
-        covariances.append(reader.floats(size * size).reshape(size, size))
+        half = np.zeros((size, size), dtype=np.float32)
+        half[np.tril_indices(size)] = reader.floats(size * (size + 1) // 2)
+        covariances.append(np.where(np.tri(size, dtype=bool), half, half.T))
     track.process_noise = np.array(process_noise, dtype=np.float32)
     track._predicted_variance = np.array(predicted, dtype=np.float32)
     track.covariance = np.stack(covariances)

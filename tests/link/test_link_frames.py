@@ -46,7 +46,8 @@ TEXT = st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=16)
 def value_of(field: Field) -> st.SearchStrategy[Value]:
     if field.type == "f32":
         return st.floats(width=32, allow_nan=False)
-    return TEXT if field.type == "char16" else st.integers(*LIMITS[field.type])
+    low, high = LIMITS.get(field.type, (0, 0))
+    return TEXT if field.type == "char16" else st.integers(low, min(high, 2**53 - 1))
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS)
@@ -128,8 +129,31 @@ def test_what_does_not_fit_the_layout_is_a_frame_error() -> None:
     ):
         with pytest.raises(FrameError, match="layout"):
             unpack_frame(encoded_of(raw))
-    # A refusal may carry its status alone.
-    assert unpack_frame(encoded_of(b"\x81\1\xbf")).values == {"status": -65}
+
+
+@pytest.mark.parametrize("name", [name for name, kind in KINDS if kind == "answer"])
+def test_a_refusal_may_be_its_status_alone_and_nothing_else_may(name: str) -> None:
+    number, payload = MESSAGES[name].id | 0x80, MESSAGES[name].answer
+    values = unpack_frame(encoded_of(bytes([number, 1, 0xBF]))).values
+    names = [field.name for field in (*payload.fields, *payload.repeat)]
+    assert values["status"] == -65 and list(values) == names
+    assert not any(value for key, value in values.items() if key != "status")
+    for size in {0, 1, 2, payload.bytes - 1, payload.bytes + 1 + payload.repeat_max} - {payload.bytes}:
+        with pytest.raises(FrameError, match="layout"):
+            unpack_frame(encoded_of(bytes([number, 1]) + bytes(size)))
+
+
+def test_a_time_that_no_clock_reaches_is_a_frame_error() -> None:
+    for time_us in (2**53, 2**63, 2**64 - 1):
+        encoded = pack_frame("STROKE", "answer", 1, {"status": 0, "stroke_us": time_us})
+        with pytest.raises(FrameError, match=f"a time of {time_us} us"):
+            unpack_frame(encoded[:-1])
+
+
+def test_a_text_of_a_device_does_not_command_a_terminal() -> None:
+    values: dict[str, Value] = {field.name: 1 for field in MESSAGES["HELLO"].answer.fields}
+    encoded = pack_frame("HELLO", "answer", 1, values | {"robot_id": "\x1b]0;x\x07\r\nfrog"})
+    assert unpack_frame(encoded[:-1]).values["robot_id"] == r"\x1b]0;x\x07\r\nfrog"
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS)
@@ -167,6 +191,23 @@ def test_a_collector_gives_the_same_frames_however_a_stream_is_cut() -> None:
         found += cut.feed(stream[at : at + size])
         at += size
     assert found == frames and cut.bad == whole.bad > 0
+
+
+def test_a_stream_without_frames_is_looked_at_once() -> None:
+    """Of each byte at most a few copies: no part of a stream is copied again for each frame in it."""
+
+    class Counted(bytes):
+        copied = 0
+
+        def split(self, *separators: object) -> list[bytes]:  # type: ignore[override]
+            Counted.copied += len(self)
+            return super().split(*separators)  # type: ignore[arg-type]
+
+        def __radd__(self, before: bytes) -> Counted:
+            return Counted(bytes(before) + bytes(self))
+
+    collector = FrameCollector()
+    assert collector.feed(Counted(bytes(2**18))) == [] and Counted.copied == 2**18
 
 
 def test_a_frame_that_never_ends_is_one_bad_frame_and_no_memory() -> None:

@@ -30,6 +30,7 @@ from frogkick.runs.lab_session import LabPort, LabSession, lab_session
 from frogkick.runs.pushing import own, upload
 from frogkick.runs.record import RunOptions
 from frogkick.runs.session import LinkError
+from frogkick.tables.image import open_image
 
 OLD, NEW = (synthetic.affine_image(20, 9, seed) for seed in (1, 2))
 
@@ -152,9 +153,9 @@ def test_no_message_holds_a_key(robot: LiveRobot, target: str, capsys: pytest.Ca
     finally:
         robot.core.core.fk_test_random_fails = 0
     refused(output, "the robot refuses KEY: UNKNOWN")
-    key = auth.read_key(auth.default_key_file())
-    assert key.hex() not in output.stderr and "key_0" not in output.stderr
-    assert "key=" not in repr(auth.CommandCodes(key))
+    (key,) = auth.read_keys(auth.default_key_file())
+    assert key.secret.hex() not in output.stderr and "key_0" not in output.stderr
+    assert "key=" not in repr(auth.CommandCodes(key.secret)) and "secret" not in repr(key)
 
 
 def test_what_it_tells_and_what_it_wrote_down_anybody_may_read(robot: LiveRobot, target: str) -> None:
@@ -167,6 +168,102 @@ def test_what_it_tells_and_what_it_wrote_down_anybody_may_read(robot: LiveRobot,
         assert bot.status()["owner"] == link_layout().owner["KEY"]
         with pytest.raises(LinkError, match="only from its owner"):
             bot.push(rig.small_table())
+
+
+def names_of(robot: LiveRobot) -> set[str]:
+    """The commands that it has received since the last call."""
+    names = set(robot.names())
+    robot.heard.clear()
+    return names
+
+
+def forget(robot: LiveRobot) -> None:
+    """Its flash is as new, and it starts again."""
+    robot.flash.memory[:] = b"\xff" * len(robot.flash.memory)
+    robot.restart()
+    robot.heard.clear()
+
+
+NO_CODE = {"HELLO", "STATUS", "DISARM"}
+
+
+def test_each_robot_has_a_key_of_its_own_in_one_file(
+    robot: LiveRobot, target: str, new: Path, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A device that says that it has no key never hears one that opens another robot."""
+    second = LiveRobot(OLD)
+    with PtyLine(tmp_path / "second", second) as there:
+        other = f"serial:{there.path}"
+        for one in (target, other, target):
+            assert frogkick(capsys, "own", "--robot", one).code == 0
+        assert owner_of(robot) != owner_of(second)
+        heard = [bytes(auth.from_words("key", f.values, 8)) for _, f in second.heard if f.name == "KEY"]
+        assert heard == [owner_of(second)]
+        assert [f.name for _, f in robot.heard].count("KEY") == 1, "its owner again: it keeps its key"
+        keys = auth.read_keys(home / "frogkick" / "owner.key")
+        assert {key.place: key.secret for key in keys} == {target: owner_of(robot), other: owner_of(second)}
+        for one in (other, target):
+            assert frogkick(capsys, "push", new, "--robot", one).code == 0
+        assert frogkick(capsys, "own", "--robot", other, "--release").code == 0
+        assert frogkick(capsys, "push", "--rollback", "--robot", target).code == 0
+    assert [key.place for key in auth.read_keys(home / "frogkick" / "owner.key")] == [target, ""]
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_robot_that_has_lost_its_key_gets_no_command_that_needs_one(
+    robot: LiveRobot, target: str, new: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], given: bool
+) -> None:
+    key = ("--key", tmp_path / "mine.key") if given else ()
+    assert frogkick(capsys, "own", "--robot", target, *key).code == 0
+    first = owner_of(robot)
+    forget(robot)
+    for command in (("push", new), ("push", "--rollback"), ("own",)):
+        refused(
+            frogkick(capsys, *command, "--robot", target, *key),
+            f"the robot at {target} says that it has no owner's key", "--again", "--release",
+        )  # fmt: skip
+        assert names_of(robot) <= NO_CODE
+    refused(frogkick(capsys, "own", "--robot", target, *key, "--again", "--release"), "one of the two")
+
+    assert frogkick(capsys, "own", "--robot", target, *key, "--again").code == 0
+    assert owner_of(robot) not in (first, bytes(32))
+    assert frogkick(capsys, "push", new, "--robot", target, *key).code == 0
+
+    forget(robot)
+    assert frogkick(capsys, "own", "--robot", target, *key, "--release").code == 0
+    assert names_of(robot) <= NO_CODE
+    assert frogkick(capsys, "push", new, "--robot", target).code == 0 and owner_of(robot) == bytes(32)
+    file = key[1] if given else auth.default_key_file()
+    keys = auth.read_keys(Path(file))
+    assert first in [one.secret for one in keys] and not any(one.place for one in keys)
+
+
+def test_a_key_is_given_for_a_robot_that_has_none(
+    robot: LiveRobot, target: str, new: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "old.key"
+    file.write_text("17" * 32)
+    for command in (("push", new), ("push", "--rollback")):
+        output = frogkick(capsys, *command, "--robot", target, "--key", file)
+        refused(output, "old.key", "the robot says that it has none", "leave out --key")
+        assert names_of(robot) <= NO_CODE
+    assert frogkick(capsys, "own", "--robot", target, "--key", file).code == 0
+    old, mine = auth.read_keys(file)
+    assert (old.secret, old.place) == (b"\x17" * 32, "")
+    assert (mine.secret, mine.place) == (owner_of(robot), target) and mine.secret != old.secret
+
+
+def test_a_run_does_not_arm_a_robot_that_has_lost_its_key(
+    robot: LiveRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with rigged("ble", robot, tmp_path, monkeypatch) as there:
+        own(lab_session(there.wire))
+        (key,) = auth.read_keys(auth.default_key_file())
+        assert key.place == there.target
+        forget(robot)
+        with pytest.raises(LinkError, match="says that it has no owner's key"):
+            lab_session(there.wire).handshake(open_image(OLD))
+    assert names_of(robot) <= NO_CODE
 
 
 @pytest.mark.parametrize("transport", some(TRANSPORTS, 1))

@@ -25,7 +25,7 @@ from tests.runs import rig
 from tests.vision.scenes import scene
 
 from frogkick.core.files import write_bytes
-from frogkick.link.auth import read_key
+from frogkick.link.auth import read_keys
 from frogkick.runs.closed_loop import DROPPED, TIME
 from frogkick.runs.runlog_file import read_run
 
@@ -140,7 +140,7 @@ def test_it_gets_an_owner_and_loses_him(
 ) -> None:
     key, other = tmp_path / "mine.key", tmp_path / "other.key"
     output = frogkick(capsys, "own", "--robot", pool.target, "--key", key)
-    assert output.code == 0 and len(read_key(key)) == 32, output.stderr
+    assert output.code == 0 and len(read_keys(key)) == 1, output.stderr
     other.write_text("ab" * 32)
     stranger = frogkick(capsys, "push", "--rollback", "--robot", pool.target, "--key", other)
     assert stranger.code == 2 and "key" in stranger.stderr

@@ -137,17 +137,23 @@ def own(
         Path | None, "Key file, which is made if it does not exist; default: the user's owner.key."
     ] = None,
     release: Annotated[bool, "Let anybody command the robot again."] = False,
+    again: Annotated[
+        bool, "Give a new key to a robot that says that it has none, although the file holds one for it."
+    ] = False,
 ) -> Result:
     """Restrict a robot to the commands of its owner, who has a key. DISARM and STOP never need the key.
 
-    The key is made on this computer. Keep a copy of it: without the key the chip must be erased and flashed.
-    The key is sent unencrypted, so use a serial line or a paired radio link.
+    The key is made on this computer, for this robot alone, and added to the key file. Keep a copy of the
+    file: without the key the chip must be erased and flashed. The key is sent unencrypted, so use a serial
+    line or a paired radio link.
     """
     from frogkick.front.robots import connect, default_key_file, require_target
 
     require_target(robot)
+    if release and again:
+        raise InputError("own takes either --release or --again: give one of the two")
     with connect(robot, key) as bot:
-        bot.own(release)
+        bot.own(release, again)
     file = key or default_key_file()
     text = (
         f"{robot} accepts commands from anybody"

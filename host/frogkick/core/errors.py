@@ -7,6 +7,11 @@ from collections.abc import Iterable, Mapping
 from importlib import util
 
 
+def printable(text: str) -> str:
+    """The text with an escape for each character that a terminal may obey instead of showing it."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
 class FrogkickError(Exception):
     """An error whose text is one line: what is wrong, which value, which limit, what to do next.
 
@@ -14,7 +19,8 @@ class FrogkickError(Exception):
     """
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().split("\n"))  # a value such as an array may have several lines
+        # A value such as an array may have several lines, and a device or a file may have chosen it.
+        return printable(" ".join(super().__str__().split("\n")))
 
 
 class CheckError(FrogkickError):

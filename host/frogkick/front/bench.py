@@ -18,7 +18,7 @@ from frogkick.effects import World
 from frogkick.front.mission import require_room
 from frogkick.front.places import built_firmware, start_pose
 from frogkick.front.viewing import noted_if_slow, viewed
-from frogkick.link.auth import read_key
+from frogkick.link.auth import read_keys
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.wire import FORMS, Wire, is_target, parse_target
@@ -194,7 +194,7 @@ class Bench:
         robot, fixes, begin = self.robot, self.fixes, self.begin
         require_wire(parse_target(robot))
         if self.key is not None:
-            read_key(Path(self.key))
+            read_keys(Path(self.key))
         if self.world is not None and fixes != POOL:
             world = "given" if isinstance(self.world, World) else str(self.world)
             raise InputError(
@@ -297,7 +297,7 @@ def run_on_bench(
 
         for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
             tell(line)
-        session.rest(tell)
+        session.rest(tell, max(robot.guard.duty_window_s, robot.guard.rest_min_s) + 0.001)
         if bench.out is not None and bench.video and camera is not None:
             video = Video(bench.out, time.monotonic() - session.port.now_s)
             stack.callback(video.close)

@@ -15,7 +15,7 @@ from frogkick.front.logs import Run
 from frogkick.front.places import simulated_robot
 from frogkick.front.running import run
 from frogkick.front.tables import Table, robot_of_table
-from frogkick.link.auth import default_key_file, read_key
+from frogkick.link.auth import default_key_file, read_keys
 from frogkick.link.frames import DELIMITER
 from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened, require_wire
@@ -96,19 +96,22 @@ class Connection:
         """Return to the previous table."""
         return roll_back(self.session())
 
-    def own(self, release: bool = False) -> None:
+    def own(self, release: bool = False, again: bool = False) -> None:
         """Restrict the robot to the commands of its owner, who has the key. It is disarmed.
 
-        The key is that of ``connect``, or the user's own. A missing key file is made; keep a copy of it.
-        DISARM and STOP never need the key.
+        The robot gets a key of its own, which is added to the key file of ``connect``, or the user's own. A
+        missing key file is made; keep a copy of it. DISARM and STOP never need the key.
 
         Args:
             release: let anybody command the robot again.
+            again: give a new key to a robot that has lost the one which the file holds for it.
 
         Raises:
-            InputError: the key's file cannot be read or written.
+            InputError: both are given, or the key's file cannot be read or written.
         """
-        own(self.session(), release)
+        if release and again:
+            raise InputError("--release removes a key and --again gives one: give one of the two")
+        own(self.session(), release, again)
 
     def follow(
         self,
@@ -154,7 +157,7 @@ def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
     """
     require_target(target)
     if key is not None and Path(key).exists():  # 'own' makes a missing one
-        read_key(Path(key))
+        read_keys(Path(key))
     with opened(parse_target(target), DELIMITER) as wire:
         yield Connection(target, wire, None if key is None else Path(key))
 
@@ -261,7 +264,7 @@ def push_table(
             session = Session(stack.enter_context(virtual))
         else:
             if key is not None:
-                read_key(key)  # a missing one is an error here
+                read_keys(key)  # a missing one is an error here
             session = stack.enter_context(connect(target, key)).session()
         tell = stack.enter_context(shown(progress, "bytes sent"))
         return push(session, image, before, tell)

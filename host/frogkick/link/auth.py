@@ -2,6 +2,9 @@
 
 The protocol is described in ``firmware/core/fk_auth.h``. Codes are HMAC-SHA-256 (RFC 2104), cut to 8 bytes.
 
+A key file has a line for each key: 64 hexadecimal digits, and after a space where the robot with this key
+is. Each robot gets a key of its own, as a first key travels in the clear and must not open another robot.
+
 A file that is no key, or cannot be read or written, is an ``InputError``.
 """
 
@@ -11,8 +14,10 @@ import hmac
 import os
 import secrets
 import struct
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from frogkick.core.errors import InputError
@@ -27,6 +32,14 @@ _OF_COMMAND = b"frogkick command"
 
 def _code(key: bytes, *parts: bytes) -> bytes:
     return hmac.digest(key, b"".join(parts), "sha256")
+
+
+@dataclass(frozen=True)
+class OwnerKey:
+    """A line of a key file."""
+
+    secret: bytes = field(repr=False)
+    place: str = ""  # of the robot that has it, as ``Wire.place``; "": unknown, or it was released
 
 
 @dataclass
@@ -71,20 +84,23 @@ def begin(key: bytes, host_nonce: bytes, answer: Mapping[str, int | float | str]
 
 
 def default_key_file() -> Path:
-    """The file of the owner's key of this user."""
+    """The file of this user's keys."""
     home = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA")
     return (Path(home) if home else Path.home() / ".config") / "frogkick" / "owner.key"
 
 
-def read_key(file: Path) -> bytes:
-    """An owner's key from its file: 64 hexadecimal digits.
+def read_keys(file: Path) -> list[OwnerKey]:
+    """The keys in a file.
 
     Raises:
-        InputError: there is no such file, or it does not hold a key.
+        InputError: there is no such file, or it holds anything else.
     """
+    keys = []
     try:
-        text = file.read_text(encoding="ascii").strip()
-        key = bytes.fromhex(text)
+        for line in file.read_text(encoding="utf-8", errors="surrogateescape").split("\n"):
+            digits, _, place = line.strip().partition(" ")
+            if digits:
+                keys.append(OwnerKey(bytes.fromhex(digits), place.strip()))
     except FileNotFoundError:
         raise InputError(f"no owner's key in {str(file)!r}: make one with 'frogkick own'") from None
     except OSError as error:
@@ -92,27 +108,56 @@ def read_key(file: Path) -> bytes:
             f"owner's key {str(file)!r} cannot be read: {error.strerror}; check the path"
         ) from error
     except ValueError:
-        key = b""
-    if len(key) != KEY_BYTES or not any(key):
+        keys = []
+    if not keys or any(len(key.secret) != KEY_BYTES or not any(key.secret) for key in keys):
         raise InputError(
-            f"{str(file)!r} is not an owner's key: a key is 64 hexadecimal digits, not all zero; give the "
-            "file that 'frogkick own' wrote"
+            f"{str(file)!r} is not an owner's key: a key is 64 hexadecimal digits, not all zero, and after a "
+            "space in its line stands where its robot is; give the file that 'frogkick own' wrote"
         )
-    return key
+    return keys
 
 
-def make_key(file: Path) -> bytes:
-    """Make an owner's key and write it to a file that only this user may read.
+def new_key(file: Path) -> OwnerKey:
+    """Make a key, and add it to a file that only this user may read.
 
     Raises:
-        InputError: the file exists already or cannot be written.
+        InputError: the file holds anything else than keys, or cannot be written.
     """
-    key = secrets.token_bytes(KEY_BYTES)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        number = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(number, "w", encoding="ascii") as stream:
-            stream.write(key.hex() + "\n")
-    except OSError as error:
-        raise InputError(f"owner's key {str(file)!r} cannot be written: {error}") from error
+    key = OwnerKey(secrets.token_bytes(KEY_BYTES))
+    _write_keys(file, [*(read_keys(file) if file.exists() else []), key])
     return key
+
+
+def note_place(file: Path, place: str, owner: OwnerKey | None) -> None:
+    """Note in a key file that the robot at a place has a key of it, or that it has none.
+
+    Raises:
+        InputError: the file cannot be read or written.
+    """
+
+    def noted(key: OwnerKey) -> OwnerKey:
+        if owner is None:
+            return replace(key, place="") if key.place == place else key
+        return replace(key, place=place) if key.secret == owner.secret else key
+
+    before = read_keys(file)
+    keys = [noted(key) for key in before]
+    if place and keys != before:
+        _write_keys(file, keys)
+
+
+def _write_keys(file: Path, keys: Sequence[OwnerKey]) -> None:
+    """Write the file completely or not at all."""
+    final, name = file.resolve(), ""
+    try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        number, name = tempfile.mkstemp(prefix=f".{final.name}.", dir=final.parent)  # for this user alone
+        with os.fdopen(number, "w", encoding="utf-8", errors="surrogateescape", newline="\n") as stream:
+            stream.writelines(f"{key.secret.hex()} {key.place}".strip() + "\n" for key in keys)
+            stream.flush()
+            os.fsync(number)
+        os.replace(name, final)
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(name)
+        raise InputError(f"owner's key {str(file)!r} cannot be written: {error}") from error

@@ -26,6 +26,7 @@ from bleak.exc import (
     BleakGATTProtocolErrorCode,
 )
 
+from frogkick.core.errors import printable
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import Delivery, Wire, WireError
 
@@ -59,14 +60,17 @@ class Heard:
     signal_dbm: int  # strength of the last advertisement
 
 
+def _name(device: BLEDevice, advertised: AdvertisementData) -> str:
+    return printable(advertised.local_name or device.name or "")
+
+
 def listen(scan_s: float) -> list[Heard]:
     """Robots that advertise within a time, the strongest first, without connecting to them."""
     seen: dict[str, Heard] = {}
     failed: list[Exception] = []
 
     def heard(device: BLEDevice, advertised: AdvertisementData) -> None:
-        name = advertised.local_name or device.name or ""
-        seen[device.address] = Heard(name, device.address, advertised.rssi)
+        seen[device.address] = Heard(_name(device, advertised), device.address, advertised.rssi)
 
     async def live() -> None:
         async with BleakScanner(heard, service_uuids=[SERVICE]):
@@ -121,6 +125,10 @@ class BleWire(Wire):
         except BaseException:
             self.close()
             raise
+
+    @property
+    def place(self) -> str:
+        return f"ble:{self.address}"
 
     def send(self, encoded: bytes, how: Delivery) -> None:
         """Send a frame; only the newest fixes wait for the radio."""
@@ -184,7 +192,7 @@ class BleWire(Wire):
             return [device for device, name in seen.values() if name == self._place and not self.address]
 
         def heard(device: BLEDevice, advertised: AdvertisementData) -> None:
-            seen[device.address] = (device, advertised.local_name or device.name or "")
+            seen[device.address] = (device, _name(device, advertised))
             if addressed() or named():
                 found.set()
 

@@ -29,7 +29,11 @@ class FrameError(FrogkickError):
 
 @dataclass(frozen=True)
 class Frame:
-    """A decoded frame. The bytes at the end of an answer are a value too, a string in Latin-1."""
+    """A decoded frame, which has all values of its layout.
+
+    The bytes at the end of an answer are a value too, a string in Latin-1. A refusal that came as its status
+    alone has zeros for what follows.
+    """
 
     name: str
     kind: str  # "command", "answer" or "event"
@@ -107,7 +111,7 @@ def _wire_value(value: Value, room: int) -> int | float | bytes:
 
 
 def unpack_frame(encoded: bytes) -> Frame:
-    """Decode one frame (without its delimiter).
+    """Decode one frame (without its delimiter): the one place where what a device sends is checked.
 
     Raises:
         FrameError: the bytes are no frame of this protocol, or damaged.
@@ -127,14 +131,16 @@ def unpack_frame(encoded: bytes) -> Frame:
     payload: Payload | None = getattr(message, kind, None)
     if message is None or payload is None:
         raise FrameError(f"frame type 0x{raw[0]:02x} is unknown to protocol {link_layout().protocol_version}")
+    if kind == "answer" and len(body) == 1 and body >= b"\x80":  # a refusal, negative
+        body = body.ljust(payload.bytes, b"\0")
     extra = len(body) - payload.bytes
     per_row = payload.repeat_bytes
     if extra < 0 or (extra and (not per_row or extra % per_row or extra > per_row * payload.repeat_max)):
-        # A refusal may be shorter than the full answer: all answers begin with the status.
-        if kind == "answer" and len(body) == 1:
-            return Frame(message.name, kind, raw[1], {"status": struct.unpack("<b", body)[0]})
         raise FrameError(f"{message.name} {kind} of {len(body)} bytes, the layout says {payload.bytes}")
-    values = payload.values_of(body)
+    try:
+        values = payload.values_of(body)
+    except ValueError as error:
+        raise FrameError(f"{message.name} {kind} has {error}: dropped") from error
     if kind == "answer" and per_row:  # an answer repeats bytes only
         values[payload.repeat[0].name] = body[payload.bytes :].decode("latin-1")
         return Frame(message.name, kind, raw[1], values)
@@ -146,16 +152,15 @@ class FrameCollector:
     """Splits a stream of bytes into frames; ``bad`` counts what is not a frame."""
 
     def __init__(self) -> None:
-        self._bytes = bytearray()
+        self._bytes = b""
         self._too_long = False
         self.bad = 0
 
     def feed(self, stream: bytes) -> list[Frame]:
         """Add bytes; return the frames that they complete."""
         frames = []
-        self._bytes += stream
-        while (end := self._bytes.find(DELIMITER)) >= 0:
-            encoded, self._bytes = bytes(self._bytes[:end]), self._bytes[end + 1 :]
+        *whole, self._bytes = (self._bytes + stream).split(DELIMITER)
+        for encoded in whole:
             if self._too_long:  # discarded up to here
                 self._too_long = False
                 self.bad += 1
@@ -167,7 +172,7 @@ class FrameCollector:
             except FrameError:
                 self.bad += 1
         if len(self._bytes) > ENCODED_MAX:  # noise must not fill the memory
-            self._bytes.clear()
+            self._bytes = b""
             self._too_long = True
         return frames
 

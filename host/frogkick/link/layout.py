@@ -11,11 +11,12 @@ from functools import cache
 from importlib import resources
 from typing import Any, Protocol
 
-from frogkick.core.errors import FrogkickError
+from frogkick.core.errors import FrogkickError, printable
 
 _FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "char16": "16s"}
 
 _TRIES = 5  # of a command
+_CLOCK_MAX_US = 2**53 - 1  # 285 years, which floats hold exactly
 
 Value = int | float | str
 Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
@@ -94,10 +95,16 @@ class Payload:
         return struct.calcsize(self.format)
 
     def values_of(self, content: builtins.bytes) -> dict[str, Value]:
-        """The fixed fields' values, from the start of a payload's bytes."""
+        """The fixed fields' values, from the start of a payload's bytes. Texts are printable.
+
+        Raises:
+            ValueError: a time (u64) is later than any clock of a robot.
+        """
         values = struct.unpack_from(self.format, content)
+        if late := [value for value in values if isinstance(value, int) and value > _CLOCK_MAX_US]:
+            raise ValueError(f"a time of {late[0]} us")
         return {
-            field.name: value.rstrip(b"\x00").decode("ascii", "replace")
+            field.name: printable(value.rstrip(b"\x00").decode("ascii", "replace"))
             if isinstance(value, builtins.bytes)
             else value
             for field, value in zip(self.fields, values, strict=True)

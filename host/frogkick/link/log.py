@@ -14,17 +14,21 @@ from frogkick.core.errors import FrogkickError
 from frogkick.link.layout import RecordType, Requester, Value, ask_again, link_layout
 
 HEAD_BYTES = 10
+LOG_BYTES_MAX = 1 << 20
+"""More than any robot keeps: its log is in RAM."""
 UNFINISHED = -128
 """Status of a command that the robot did not finish."""
 DAMAGED = "DAMAGED"
 """Name of a record with a wrong check or an unknown number."""
 _SPAN = 1 << 32  # offsets count modulo this
+_LOG = link_layout().messages["LOG"].answer
+_PART_BYTES = _LOG.repeat_max if _LOG else 0  # in an answer, unless the log ends there
 _TYPES = {record.id: record for record in link_layout().records.values()}
 _COMMANDS = {message.id: message for message in link_layout().messages.values() if message.command}
 
 
 class LogError(FrogkickError):
-    """The robot has no log, or does not answer."""
+    """The robot has no log, does not answer, or its answers are not those of a log."""
 
 
 @dataclass(frozen=True)
@@ -125,13 +129,18 @@ def records_of(stretch: Stretch) -> list[Record]:
 
 
 def _fits(name: str, content: bytes) -> bool:
-    """Whether content has the length of its record type."""
+    """Whether content is as its record type has it."""
     if name == DAMAGED:
         return False
     record = link_layout().records[name]
-    if name == "COMMAND":
-        return len(content) > record.payload.bytes and content[0] in _COMMANDS
-    return len(content) == record.payload.bytes or (bool(record.rest) and len(content) > record.payload.bytes)
+    size = record.payload.bytes
+    if len(content) < size + (name == "COMMAND") or (len(content) > size and not record.rest):
+        return False
+    try:
+        record.payload.values_of(content)
+    except ValueError:
+        return False
+    return name != "COMMAND" or content[0] in _COMMANDS
 
 
 def fetch_log(
@@ -149,14 +158,14 @@ def fetch_log(
     """
     stretches = list(known.stretches) if known is not None else []
     offset = known.end if known is not None else 0
+    if not stretches:  # offset 0 may be in the middle, as the offsets wrap
+        offset = int(_ask(link, 0)["begin"])
     first: int | None = None
     goal = 0
-    while True:
+    # Twice what the largest log takes, as records may be overwritten meanwhile.
+    for _ in range(2 * LOG_BYTES_MAX // _PART_BYTES):
         answer = _ask(link, offset)
         at, content = int(answer["offset"]), str(answer["byte"]).encode("latin-1")
-        if not stretches and at != int(answer["begin"]):  # the offsets have wrapped
-            offset = int(answer["begin"])
-            continue
         if first is None:
             first, goal = at, (int(answer["end"]) - at) % _SPAN
         if stretches and (at - offset) % _SPAN >= _SPAN // 2:  # before what is known: another log
@@ -170,6 +179,7 @@ def fetch_log(
         progress(min(done, goal), goal)
         if done >= goal or not content:  # records since the first answer are for the next fetch
             return ChipLog(tuple(stretches), int(answer["lost"]))
+    raise LogError("the robot's log does not end: switch the robot off and on")
 
 
 def _ask(link: Requester, offset: int) -> dict[str, Value]:
@@ -177,4 +187,15 @@ def _ask(link: Requester, offset: int) -> dict[str, Value]:
     status = link_layout().status_name(int(answer["status"]))
     if status != "OK":
         raise LogError(f"the robot answers LOG with {status}: its firmware keeps no log; flash a newer one")
+    at, begin, end = (int(answer[name]) for name in ("offset", "begin", "end"))
+    held, rest = (end - begin) % _SPAN, (end - at) % _SPAN
+    if (
+        not rest <= held <= LOG_BYTES_MAX
+        or at not in (offset, begin)
+        or len(str(answer["byte"])) != min(_PART_BYTES, rest)
+    ):
+        raise LogError(
+            f"the robot's answer about a log from byte {begin} to {end} has {len(str(answer['byte']))} bytes "
+            f"from {at} on, which no log has: switch the robot off and on, and fetch again"
+        )
     return answer

@@ -20,6 +20,7 @@ from frogkick.link.frames import Frame
 BAUD = 115_200
 BYTE_S = 10 / BAUD  # a start bit, 8 data bits, a stop bit
 BAUD_MAX = 4_000_000
+ARRIVED_MAX = 1 << 18  # bytes that wait to be taken
 KINDS, FORMS = ("ble", "serial"), ("ble:NAME", "serial:PORT")
 """The kinds of wire, and what a user types for each."""
 
@@ -68,9 +69,15 @@ class Wire(ABC):
         self._lock = threading.Lock()
         self._bell = Bell()
         self._arrived: list[tuple[float, bytes]] = []
+        self._waiting = 0  # bytes in it
         self._error: FrogkickError | None = None
         self.connections = 0  # so far
         self.is_up = False  # whether it is connected now
+
+    @property
+    def place(self) -> str:
+        """Where the robot is, which stays the same as long as this is the same robot."""
+        return self.name
 
     @abstractmethod
     def send(self, encoded: bytes, how: Delivery) -> None:
@@ -83,7 +90,7 @@ class Wire(ABC):
         """Wait for bytes, and return them with their arrival times (monotonic)."""
         self._bell.wait_for(lambda: self._arrived or self._error is not None, timeout_s)
         with self._lock:
-            taken, self._arrived = self._arrived, []
+            taken, self._arrived, self._waiting = self._arrived, [], 0
             if not taken and self._error is not None:
                 raise self._error
             return taken
@@ -99,9 +106,11 @@ class Wire(ABC):
     # For the thread of the wire
 
     def put(self, data: bytes) -> None:
-        """Hand over bytes that have arrived."""
+        """Hand over bytes that have arrived; those beyond ``ARRIVED_MAX`` are lost."""
         with self._lock:
-            self._arrived.append((time.monotonic(), data))
+            if self._waiting + len(data) <= ARRIVED_MAX:
+                self._waiting += len(data)
+                self._arrived.append((time.monotonic(), data))
         self._bell.ring()
 
     def connected(self) -> None:

@@ -246,7 +246,9 @@ class _Run:
         session.require_done("START", {"delay_us": delay_us}, answer)
         first_us = int(answer["first_decision_us"])
         recording.first_decision_s = (first_us - recording.clock_offset_us) * 1e-6
-        limit_s = recording.first_decision_s + self.options.time_limit_s
+        # Whatever the robot says, it is not later than this.
+        latest_s = session.time_s + START_DELAY_S
+        limit_s = min(recording.first_decision_s, latest_s) + self.options.time_limit_s
         while session.time_s < limit_s:
             self._run_until(min(session.time_s + 0.05, limit_s))
             path = self._path_due()

@@ -26,7 +26,6 @@ LIMB_USE_FIELDS = tuple(f"limb_use_{limb}" for limb in range(LIMBS_MAX))
 LOST_FIELDS = tuple(f"lost_{limb}" for limb in range(LIMBS_MAX))
 STALE = link_layout().status["STALE"]
 SUPPLY = link_layout().status["SUPPLY"]
-VALUE = link_layout().status["VALUE"]
 NOTHING_LOST = (0,) * LIMBS_MAX
 RESTING = -1
 """``RobotEvent.action`` if the guard refused a stroke, so that the robot rests."""
@@ -104,7 +103,8 @@ def events_of_frame(frame: Frame, poses: Mapping[int, Float32]) -> list[RobotEve
     ``poses`` are those of fixes without an answer so far, by the sequence number of their frame.
     """
     values = frame.values
-    if frame.name == "FIX" and values["status"] != VALUE:
+    # Without a capture time the estimator did not receive it.
+    if frame.name == "FIX" and (values["status"] == 0 or values["capture_us"]):
         number = int(values["fix_sequence"])
         return [RobotEvent(int(values["capture_us"]), poses[frame.sequence], number)]
     if frame.name == "REFUSED":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import math
 import secrets
 import sys
 import time
@@ -169,7 +168,7 @@ class LabSession(Session):
     # Random, to differ from the last one. 0 and 1 are those of simulated robots.
     conversation: int = field(default_factory=lambda: 1 + secrets.randbelow(65_535))
     # longest time that the wire may be down during a request; it does not count as waiting
-    patience_s: float = math.inf
+    patience_s: float = 60.0
     _connections: int = 1
     _clock_failed: bool = False
     _offset_us: int | None = None
@@ -237,6 +236,10 @@ class LabSession(Session):
                 "meanwhile"
             )
         self._clock_failed = False
+
+    @property
+    def place(self) -> str:
+        return self.port.wire.place if isinstance(self.port, LabPort) else ""
 
     @property
     def window(self) -> int:

@@ -13,13 +13,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.auth import KEY_BYTES, default_key_file, make_key, read_key, words
+from frogkick.link.auth import KEY_BYTES, default_key_file, new_key, note_place, words
 from frogkick.link.layout import Arguments, Requester, Value, ask_again, link_layout
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 
 REST_S = 1.0  # shortest wait for limbs to rest
 CHUNK_BYTES = 128
+REST_MAX_S = 5.0  # longest period of a robot
+_LOSSES = 16
 _TIMEOUT_S = 2.0  # the first chunk of a page waits for its erase, COMMIT for the check of the table
 
 
@@ -76,7 +78,10 @@ def upload(
         _ask(link, "TABLE_ROLLBACK", {"table_crc": here["built_in_crc"]})
         answer = _ask(link, "TABLE_BEGIN", begin)
     first = offset = int(answer["next_offset"])
-    while offset < len(image):
+    # A round brings one chunk at least, but for those after a loss.
+    for _ in range(_LOSSES + 2 * len(image) // CHUNK_BYTES):
+        if offset >= len(image):
+            break
         progress(offset, len(image))
         places = range(offset, min(len(image), offset + link.window * CHUNK_BYTES), CHUNK_BYTES)
         chunks: list[Arguments] = [
@@ -85,6 +90,11 @@ def upload(
         answers = _ask_all(link, "TABLE_CHUNK", chunks, ("OK", "OFFSET"))
         # A chunk that arrived after a lost one is sent again.
         offset = max(int(answer["next_offset"]) for answer in answers)
+    if offset != len(image):
+        raise UploadError(
+            f"the robot wants byte {offset} of {len(image)} next, and the table does not get complete so: "
+            "switch it off and on, and send again"
+        )
     used_crc = int(_ask(link, "TABLE_COMMIT")["table_crc"])
     if used_crc != crc:
         raise UploadError(
@@ -174,36 +184,45 @@ def roll_back(session: Session) -> Pushed:
     return _pushed(session, 0, 0, begin_s)
 
 
-def own(session: Session, release: bool = False) -> None:
-    """Disarm a robot and give it the owner's key of ``session.key_file``, which is made if missing.
+def own(session: Session, release: bool = False, again: bool = False) -> None:
+    """Disarm a robot and give it an owner's key that no other robot has; a robot of this owner keeps its own.
+
+    The key is added to ``session.key_file``, which is made if missing.
 
     Args:
         session: with the robot.
         release: remove the robot's key instead, so that every host may command it.
+        again: give a key also to a robot that says that it has none, although the file holds one for it.
 
     Raises:
-        LinkError: the robot has another key, refuses, or does not answer.
+        LinkError: the robot has another key, has lost its key, refuses, or does not answer.
         InputError: the key's file cannot be read or written.
     """
-    rest(session, session.hello())
-    key = bytes(KEY_BYTES)
-    if not release:
-        file = session.key_file or default_key_file()
-        key = read_key(file) if file.exists() else make_key(file)
-    session.request("KEY", words("key", key))
-    session.authenticate()
+    _disarm(session, session.hello())
+    file, is_open = session.key_file or default_key_file(), session.is_open()
+    if is_open and not release:
+        if not again:
+            session.require_unowned()
+        session.request("KEY", words("key", new_key(file).secret))
+    owner = None if is_open and release else session.prove()
+    if release and owner is not None:
+        session.request("KEY", words("key", bytes(KEY_BYTES)))
+    if file.exists():
+        note_place(file, session.place, None if release else owner)
 
 
 def rest(session: Session, hello: Mapping[str, Value]) -> None:
-    """Disarm, wait until all limbs have rested, and authenticate.
+    """Disarm, wait until all limbs have rested, and authenticate. ``hello``: the robot's answer to HELLO."""
+    _disarm(session, hello)
+    session.authenticate()
 
-    ``hello``: the robot's answer to HELLO. A limb that can fire in each period rests within one.
-    """
+
+def _disarm(session: Session, hello: Mapping[str, Value]) -> None:
+    """Disarm, and wait until all limbs have rested. A limb that can fire in each period rests within one."""
     session.ask("DISARM")  # refused only in a fault, when the outputs are off
-    end_s = session.time_s + max(REST_S, 1e-6 * int(hello["period_us"]))
+    end_s = session.time_s + min(max(REST_S, 1e-6 * int(hello["period_us"])), REST_MAX_S)
     while session.time_s < end_s:
         session.step(end_s)
-    session.authenticate()
 
 
 def _pushed(session: Session, sent: int, resumed_at: int, begin_s: float) -> Pushed:

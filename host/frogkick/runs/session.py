@@ -5,6 +5,7 @@ Every method that sends a command raises a ``LinkError`` if the robot refuses it
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -202,9 +203,16 @@ class Session:
     def check_clock_sync(self, capture_s: float, capture_us: int) -> None:
         """Check that session clock and robot clock agree on a capture time; no effect in simulated time."""
 
+    @property
+    def place(self) -> str:
+        """Where the robot is, as ``Wire.place``; "" in simulated time."""
+        return ""
+
     def hello(self) -> dict[str, Value]:
         """Answer to HELLO."""
         answer = self._hello()
+        if answer["status"] != link_layout().status["VERSION"]:
+            self.require_done("HELLO", None, answer)
         ours = link_layout().protocol_version
         if answer["protocol_version"] != ours:
             raise LinkError(
@@ -213,26 +221,61 @@ class Session:
         return answer
 
     def authenticate(self) -> None:
-        """Authenticate to a robot that has an owner's key; no effect with another.
+        """Authenticate to a robot that has an owner's key; no effect with one that never had.
+
+        Raises:
+            LinkError: this host has no key or not the robot's, the robot has none although this host has one
+                for it, or it does not answer.
+            InputError: the key's file cannot be read.
+        """
+        if self.is_open():
+            self.require_unowned()
+            if self.key_file is not None:
+                raise LinkError(
+                    f"the key {str(self.key_file)!r} is given, and the robot says that it has none: leave "
+                    "out --key, or give it one with 'frogkick own'"
+                )
+        else:
+            self.prove()
+
+    def prove(self) -> auth.OwnerKey:
+        """Let a robot with an owner's key prove that it is one of this host's, and return that one.
 
         Raises:
             LinkError: this host has no key or not the robot's, or the robot does not answer.
             InputError: the key's file cannot be read.
         """
-        if int(self.request("STATUS")["owner"]) == link_layout().owner["OPEN"]:
-            self._auth = None
-            return
         file = self.key_file or auth.default_key_file()
         if not file.exists():
             raise LinkError(
                 "the robot takes commands only from its owner, and there is no owner's key in "
                 f"{str(file)!r}: give the key's file (--key)"
             )
-        key, nonce = auth.read_key(file), auth.challenge()
-        self._auth = auth.begin(key, nonce, self.request("CHALLENGE", auth.words("nonce", nonce)))
-        if self._auth is None:
+        keys, nonce = auth.read_keys(file), auth.challenge()
+        answer = self.request("CHALLENGE", auth.words("nonce", nonce))
+        for key in keys:
+            self._auth = auth.begin(key.secret, nonce, answer)
+            if self._auth is not None:
+                return key
+        raise LinkError(
+            f"the owner's key in {str(file)!r} is not this robot's: give the file of its own (--key)"
+        )
+
+    def is_open(self) -> bool:
+        """Whether the robot says that anybody may command it; commands carry no codes then."""
+        if int(self.request("STATUS")["owner"]) != link_layout().owner["OPEN"]:
+            return False
+        self._auth = None
+        return True
+
+    def require_unowned(self) -> None:
+        """Raise LinkError if this host has a key of the robot, which says that it has none."""
+        file = self.key_file or auth.default_key_file()
+        if self.place and file.exists() and any(key.place == self.place for key in auth.read_keys(file)):
             raise LinkError(
-                f"the owner's key in {str(file)!r} is not this robot's: give the file of its own (--key)"
+                f"the robot at {self.place} says that it has no owner's key, and {str(file)!r} holds one for "
+                "it: it has lost its key, or it is another device; give it a new key with 'frogkick own "
+                "--again', or let anybody command it with 'frogkick own --release'"
             )
 
     def handshake(self, tables: Tables) -> dict[str, Value]:
@@ -265,13 +308,22 @@ class Session:
                 continue
         return self.ask("HELLO", values, timeout_s=HELLO_TIMEOUT_S)
 
-    def rest(self, tell: Callable[[str], None]) -> None:
+    def rest(self, tell: Callable[[str], None], most_s: float = math.inf) -> None:
         """Wait until a robot that started without knowing its limbs' heat counts them as cool.
 
         Args:
             tell: gets one line if that takes time.
+            most_s: longest such time of this robot.
+
+        Raises:
+            LinkError: it wants more.
         """
         rest_s = int(self.request("STATUS")["rest_us"]) * 1e-6
+        if rest_s > most_s:
+            raise LinkError(
+                f"the robot lets its limbs rest for {rest_s:.1f} s, its description for {most_s:.1f} s at "
+                "most: give its own description, or flash it again"
+            )
         if rest_s > 0.0:
             tell(
                 "limbs: after a time without supply the robot does not know how hot they are and lets them "

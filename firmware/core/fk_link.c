@@ -26,7 +26,7 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
     /* Events of an earlier tick are sent first, so that all is sent in the order in which it happened, and a host
      * can replay it. */
     fk_robot_send_events(robot);
-    uint8_t answer[FK_PAYLOAD_BYTES_MAX];
+    uint8_t *const answer = frame.payload; /* a command is read before its answer is written: less stack */
     uint8_t type = (uint8_t)(frame.type | FK_ANSWER_BIT);
     if (fk_auth_has_code(frame.type)) {
         type &= (uint8_t)~FK_AUTH_BIT;
@@ -60,6 +60,9 @@ uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity)
 {
     fk_robot_send_events(robot);
     uint32_t count = (robot->tx_length < capacity) ? robot->tx_length : capacity;
+    while (count > 0u && robot->tx[count - 1u] != 0u) { /* a delimiter */
+        --count;
+    }
     for (uint32_t i = 0u; i < count; ++i) {
         bytes[i] = robot->tx[i];
     }

@@ -18,12 +18,12 @@
 #include "fk_frames_layout.h"
 
 #ifndef FK_LOG_BYTES
-#define FK_LOG_BYTES 24576u /* half a minute of a run with 15 fixes a second, and a snapshot to begin from */
+#define FK_LOG_BYTES 24576u /* of a run with 15 fixes a second 15 s at least, from a snapshot on */
 #endif
 
 #define FK_LOG_HEAD_BYTES 10u
 #define FK_LOG_CONTENT_MAX 255u
-#define FK_LOG_SNAPSHOT_EVERY_BYTES 4096u /* of other records between snapshots; a host that replays the log has the same */
+#define FK_LOG_SNAPSHOT_EVERY_BYTES 3584u /* of other records between snapshots; a host that replays the log has the same */
 #define FK_LOG_SNAPSHOT_MAX_BYTES 5888u   /* all records of one snapshot, with their heads: fk_snapshot.c */
 #define FK_LOG_WAITING_BYTES 1408u        /* of records while a snapshot that is due waits for the pulses of a stroke */
 

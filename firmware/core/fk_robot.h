@@ -104,7 +104,8 @@ void fk_robot_note_supply(fk_robot_t *robot, int32_t is_low);
 /* How long the last tick took, measured by the port. The DECISION event carries it. */
 void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);
 
-/* Take encoded frames to send.
+/* Take encoded frames to send, whole ones with their delimiters.
+ * @param capacity  at least FK_FRAME_ENCODED_MAX, or some frames never go out
  * @retval  bytes written, 0 to capacity
  */
 uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity);

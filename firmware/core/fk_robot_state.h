@@ -148,7 +148,8 @@ int32_t fk_robot_key_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_
 /* fk_path_command.c */
 int32_t fk_robot_path_command(fk_robot_t *robot, const uint8_t *payload, uint32_t length, uint8_t *answer);
 
-/* fk_commands.c */
+/* fk_commands.c. The answer, here and above, may lie where the command's payload does: it is written when that has been
+ * read. */
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 
 #endif

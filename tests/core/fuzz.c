@@ -107,7 +107,7 @@ static uint32_t encoded_of(const uint8_t *raw, uint32_t length, uint8_t *encoded
  * it: a fix that ends a run is answered, and the end told. */
 static uint32_t hear(void)
 {
-    uint8_t bytes[64];
+    uint8_t bytes[FK_FRAME_ENCODED_MAX];
     uint8_t raw[ROOM];
     uint32_t last = 0u;
     uint32_t count;

@@ -209,6 +209,23 @@ def test_a_command_that_comes_again_acts_once(name: str) -> None:
         assert robot.run_until(robot.now_us + 10**6) == []
 
 
+def test_whole_frames_are_taken() -> None:
+    """A port that sends them one by one never gets half of one; what finds no room waits."""
+    robot = Robot()
+    for _ in range(4):
+        robot.post("STATUS")
+    taken = []
+    for capacity in (encoded_max := core().fk_test_encoded_max(), encoded_max - 1, 0, 1, encoded_max, 1024):
+        part = robot.take_bytes(capacity)
+        assert len(part) <= capacity and part[-1:] in (b"", b"\0")
+        taken.append(part)
+    assert taken[0] and taken[2:4] == [b"", b""]
+    whole = Robot()
+    for _ in range(4):
+        whole.post("STATUS")
+    assert b"".join(taken) == whole.take_bytes()
+
+
 @pytest.mark.parametrize("name", ["DISARM", "STOP"])
 def test_what_switches_off_always_acts(name: str) -> None:
     """A second sender may repeat an earlier sender's number: the robot must not say it is off from memory."""

@@ -301,7 +301,7 @@ def test_no_snapshot_while_a_pulse_of_a_stroke_is_due() -> None:
     robot.begin("ARMED")
 
     def flooded() -> int:
-        for _ in range(17):
+        for _ in range(15):
             robot.path(18)
         return sum(bool(r.values.get("last")) for records in fetched(robot).records() for r in records)
 

@@ -32,7 +32,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def played(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         options = defines(configuration(patch, ROBOT / "prj.conf"))
-    return play(made, tmp_path_factory.mktemp("played"), [*options, "-DFK_LOG_BYTES=16384u"])
+    return play(made, tmp_path_factory.mktemp("played"), options)
 
 
 @pytest.fixture

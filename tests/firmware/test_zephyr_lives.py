@@ -223,7 +223,7 @@ def test_eight_limbs_find_channels_beside_bluetooth_s(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each alone, and all of them: its controller leaves twelve channels of PPI."""
-    options = [*defines(configuration(monkeypatch, ROBOT / "prj.conf")), "-DFK_LOG_BYTES=16384u"]
+    options = defines(configuration(monkeypatch, ROBOT / "prj.conf"))
     life = Life(play(made, tmp_path, [*options, "-DDECLARED_EIGHT_LIMBS"]))
     life.session.request("ARM")
     for mask in (*(1 << limb for limb in range(8)), 0b11111111, 0b01010101, 0b10100110):
@@ -301,7 +301,7 @@ def test_a_battery_that_is_low_at_rest_disarms(
     assert robot.battery is not None
     robot = replace(robot, battery=replace(robot.battery, inputs=(0, 3), divider=5.7))
     (seeing / "fk_robot_config.h").write_text(robot_config(robot))
-    options = [*defines(configuration(monkeypatch, ROBOT / "prj.conf")), "-DFK_LOG_BYTES=16384u"]
+    options = defines(configuration(monkeypatch, ROBOT / "prj.conf"))
     life = Life(play(seeing, tmp_path, options))
     session, stage = life.session, life.robot.stage
     with pytest.raises(LinkError, match="refuses ARM: SUPPLY"):

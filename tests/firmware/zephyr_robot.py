@@ -153,7 +153,8 @@ def defines(found: Kconfig) -> list[str]:
             quoted = symbol.name == "BT_DEVICE_NAME"
             value = f'"{symbol.str_value}"' if quoted else symbol.str_value.replace("y", "1")
             reported.append(f"-DCONFIG_{symbol.name}={value}")
-    return reported
+    # As CMakeLists.txt passes it to the core.
+    return [*reported, f"-DFK_LOG_BYTES={found.syms['FROGKICK_LOG_BYTES'].str_value}u"]
 
 
 RESTED_S = 5.1

@@ -14,12 +14,12 @@
 #include <zephyr/sys/util.h>
 #include <zephyr/version.h>
 
-#define RECEIVE_BYTES 2048 /* a frame has at most 253 bytes; what arrives while a decision computes waits here */
+#define RECEIVE_BYTES 1536 /* six frames, of 240 bytes at most; what arrives while a decision computes waits here */
 #define ATT_HEAD_BYTES 3u
 
 /* The thread that sends has a lower priority than the loop, which it must not hold up. It waits for the radio's
  * buffers, which become free one by one, or all at once when the connection ends. */
-#define SENDER_STACK_BYTES 2048
+#define SENDER_STACK_BYTES 1280 /* twice what it uses, by static figures: 640 bytes */
 #define SENDER_PRIORITY K_PRIO_PREEMPT(5)
 #define RETRY_MS 10
 #define PAIRINGS_MAX 3u

@@ -19,7 +19,7 @@ int32_t fk_radio_read(uint8_t *byte);
 /* @retval 1  a connection has ended since the last call */
 int32_t fk_radio_take_drop(void);
 
-#define FK_RADIO_SEND_BYTES 768u
+#define FK_RADIO_SEND_BYTES 256u /* whole frames, of 240 bytes at most */
 
 /* @retval 1  the last bytes still wait for the radio
  * @retval 0  it accepts more

@@ -94,7 +94,7 @@ def listen(scan_s: float) -> list[Heard]:
 class BleWire(Wire):
     """A wire over Bluetooth. A robot that drops out is found again by its address and reconnected."""
 
-    window = 4  # frames: the robot's receive buffer holds eight
+    window = 4  # frames: the robot's receive buffer holds six
 
     def __init__(
         self,

@@ -14,6 +14,7 @@ from tests.cli.commands import frogkick, listing
 from tests.conftest import some
 from tests.runs import rig
 
+from frogkick.core.hdf5 import seal
 from frogkick.library import build_library
 from frogkick.robot import load_robot
 from frogkick.runs.runlog_file import write_run
@@ -44,6 +45,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(folder / "run.h5", folder / name)
         with h5py.File(folder / name, "r+") as file:
             file[column][1] = np.nan
+        seal(folder / name)
     with h5py.File(folder / "foreign.h5", "w") as file:
         file["data"] = np.zeros(4)
     with h5py.File(folder / "no_decisions.h5", "w") as file, h5py.File(folder / "run.h5") as run:

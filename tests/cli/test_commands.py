@@ -7,7 +7,6 @@ import hashlib
 import os
 import subprocess
 import sys
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import h5py
@@ -287,21 +286,16 @@ def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, dept
     assert done.json["limit_violations"] == 0
     assert list(listing(here)) == ["run.h5"]
     again = frogkick(capsys, "run", *options, "--out", "again.h5")
-    with h5py.File("run.h5", "r+") as file, h5py.File("again.h5", "r+") as other:
+    timed = robot == "virtual" or plan == "host"
+    assert (done.json["plan_ms_p99"] is not None) == timed, "the robot's core plans in no time of the pool"
+    with h5py.File("run.h5") as file:
         about = {name: text.asstr()[()] for name, text in file["made"].items()}
         assert about["robot_sha256"] == rig.robot().sha256.hex() and about["robot_toml"] == rig.robot().toml
         assert about["table_sha256"] == hashlib.sha256(rig.small_table().read_bytes()).hexdigest()
-        assert datetime.now(UTC) - datetime.fromisoformat(about["began_at"]) < timedelta(minutes=10)
-        for made in (file["made"], other["made"]):  # all else is the same, byte for byte
-            made["began_at"][()] = about["began_at"]
+        assert "began_at" not in about, "a simulated run has the same bytes whenever it is made"
     assert Path("run.h5").read_bytes() == Path("again.h5").read_bytes()
     if plan == "onboard":
         assert again.stdout == done.stdout
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SOURCE_DATE_EPOCH", "yesterday")
-        refused = frogkick(capsys, "run", *options, "--out", "never.h5")
-        assert refused.code == 2 and "SOURCE_DATE_EPOCH is 'yesterday'" in refused.stderr
-        assert not Path("never.h5").exists()
     output = frogkick(capsys, "log", "show", "run.h5", "--json").json["made"]
     assert output == {name: text for name, text in about.items() if name != "robot_toml"}
     replayed = frogkick(capsys, "replay", "run.h5", "--tables", rig.small_table(), "--json")

@@ -18,6 +18,7 @@ from tests.der.single import simulate_action
 from tests.identification.made import robot
 
 from frogkick.core.errors import ConvergenceError, InputError
+from frogkick.core.hdf5 import seal
 from frogkick.library import (
     Failed,
     build,
@@ -197,17 +198,20 @@ def test_foreign_and_changed_libraries_are_refused(built: Path, tmp_path: Path) 
         with h5py.File(copy, "r+") as file:
             kind = h5py.string_dtype() if isinstance(value, bytes) else None
             file.attrs.create(attribute, value, dtype=kind)
+        seal(copy)
         with pytest.raises(InputError, match=says):
             read_library(copy)
     copy = edited(built, tmp_path)
     with h5py.File(copy, "r+") as file:
         file["displacement_body"][2, 3, 1] = np.nan
+    seal(copy)
     with pytest.raises(InputError, match=r"displacement_body\[2, 3, 1\]"):
         read_library(copy)
     copy = edited(built, tmp_path)
     with h5py.File(copy, "r+") as file:
         del file["displacement_body"]
         file["displacement_body"] = np.zeros((STATES, 8, 3))
+    seal(copy)
     with pytest.raises(InputError, match="shape"):
         read_library(copy)
 
@@ -407,6 +411,7 @@ def test_the_older_format_is_read_as_rested_limbs(built: Path, tmp_path: Path) -
     with h5py.File(copy, "r+") as file:
         del file["previous_actions"]
         file.attrs["format_version"] = 2
+    seal(copy)
     assert library_info(copy)["format_version"] == 2
     old, new = read_library(copy), read_library(built)
     assert not old.has_history()
@@ -417,5 +422,6 @@ def test_the_older_format_is_read_as_rested_limbs(built: Path, tmp_path: Path) -
         with h5py.File(copy, "r+") as file:
             del file["previous_actions"]
             file["previous_actions"] = broken
+        seal(copy)
         with pytest.raises(InputError, match="previous_actions has shape"):
             read_library(copy)

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from frogkick.core.errors import InputError
+from frogkick.core.hdf5 import seal
 from frogkick.paths import line
 from frogkick.runs.runlog import (
     DecisionFlag,
@@ -164,6 +165,7 @@ def test_nan_put_into_a_file_is_found(tmp_path: pathlib.Path) -> None:
     write_run(tmp_path / "a.h5", make_run())
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file["fixes/y_m"][3] = math.nan
+    seal(tmp_path / "a.h5")
     with pytest.raises(InputError, match=r"run log 'a\.h5': fixes/y_m row 3 is nan"):
         read_run(tmp_path / "a.h5")
 
@@ -219,6 +221,7 @@ def test_foreign_truncated_empty_and_newer_files(tmp_path: pathlib.Path) -> None
         read_run(tmp_path / "other.h5")
     with h5py.File(good, "r+") as file:
         file.attrs["format_version"] = 2
+    seal(good)
     with pytest.raises(InputError, match="format version 2"):
         read_run(good)
     with pytest.raises(InputError, match="does not exist"):
@@ -230,6 +233,7 @@ def test_missing_parts(tmp_path: pathlib.Path, gone: str) -> None:
     write_run(tmp_path / "a.h5", make_run())
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         del file[gone]
+    seal(tmp_path / "a.h5")
     with pytest.raises(InputError) as caught:
         read_run(tmp_path / "a.h5")
     assert "\n" not in str(caught.value)

@@ -13,10 +13,13 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from frogkick.core.errors import InputError
+
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""What a disk answers that has no locks, as some network disks."""
 
 
 class UnwritableError(InputError):
@@ -120,14 +123,14 @@ def require_writable(out: Path | str | None, folder: bool = False) -> None:
 
 @contextmanager
 def sole_writer(out: Path | None) -> Iterator[None]:
-    """Lock a file to write as long as the context lives, where there is fcntl (not on Windows).
+    """Lock a file to write as long as the context lives. On a disk without locks the last writer wins.
 
     Raises:
         InputError: another process holds the lock, or the file cannot be written.
     """
     try:
         import fcntl
-    except ImportError:  # Windows: the last one wins
+    except ImportError:  # Windows
         yield
         return
     if out is None or not out.parent.is_dir():
@@ -143,7 +146,9 @@ def sole_writer(out: Path | None) -> Iterator[None]:
             raise InputError(f"cannot write {str(out)!r}: {error.strerror}; choose another --out") from None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except OSError as error:
+            if error.errno in NO_LOCKS:
+                break
             file.close()
             raise InputError(
                 f"another process is about to write {str(out)!r}: wait for it, or give another --out"
@@ -277,16 +282,18 @@ def one_at_a_time(folder: Path, name: str) -> Iterator[Path]:
     Raises:
         OSError: it cannot be made.
     """
-    try:
-        import fcntl
-    except ImportError:  # Windows: a new folder each time
-        with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=folder) as temporary:
-            yield Path(temporary)
-        return
-    work = folder / f".{name}"
-    work.mkdir(exist_ok=True)
-    with (work / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with ExitStack() as stack:
+        work = folder / f".{name}"
+        try:
+            import fcntl
+
+            work.mkdir(exist_ok=True)
+            fcntl.flock(stack.enter_context((work / ".lock").open("w")), fcntl.LOCK_EX)
+        except (ImportError, OSError) as error:  # Windows, or a disk without locks: a new folder each time
+            if isinstance(error, OSError) and error.errno not in NO_LOCKS:
+                raise
+            temporary = tempfile.TemporaryDirectory(prefix=f".{name}-", dir=folder)
+            work = Path(stack.enter_context(temporary))
         yield work
 
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import copy
-import os
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from frogkick.core.arguments import typed
-from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, save_result, sole_writer
 from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, read_world
@@ -157,7 +153,7 @@ def run(
                 port = stack.enter_context(
                     places.simulated_robot(robot, image, described, lambda: compile_rods(described))
                 )
-            recording.made = made_of(described, used.tables, _now_unix_s())
+            recording.made = made_of(described, used.tables)
             recording.seed = seed
             rng = noise_of_run(seed, desired.name, len(desired))
             recording.pool = Pool(described, places.start_pose(desired), eye, rng, true)
@@ -174,14 +170,3 @@ def run(
 def compile_rods(robot: Robot) -> None:
     """Compile the simulation if needed, by simulating a moment of a pool."""
     Pool(robot, (0.0, 0.0, 0.0), SimulatedCamera(), np.random.default_rng(0), World()).advance(1e-3)
-
-
-def _now_unix_s() -> float:
-    """Return the wall clock, or SOURCE_DATE_EPOCH if it is set, so that the same run gives the same bytes."""
-    fixed = os.environ.get("SOURCE_DATE_EPOCH")
-    try:
-        now_s = float(fixed) if fixed else time.time()
-        datetime.fromtimestamp(now_s, UTC)
-    except (ValueError, OverflowError, OSError):
-        raise InputError(f"SOURCE_DATE_EPOCH is {fixed!r}: give seconds since 1970, or unset it") from None
-    return now_s

@@ -14,7 +14,8 @@ import numpy as np
 from frogkick.core.arguments import typed
 from frogkick.core.arrays import Bool, Float32, Float64, Int64
 from frogkick.core.errors import InputError
-from frogkick.core.files import atomic_path, existing_file, require_room
+from frogkick.core.files import existing_file, require_room
+from frogkick.core.hdf5 import hdf5_to_read, hdf5_to_write
 from frogkick.core.version import VERSION
 from frogkick.library.transitions import HISTORY, RESTED, Failed, Transitions
 from frogkick.library.wear import no_curves
@@ -171,7 +172,7 @@ def write_library(
     states, actions, _ = library.displacement_body.shape
     times = np.empty(0) if recorded_time_s is None else recorded_time_s
     require_room(out, OVERHEAD_BYTES + states * actions * (STEP_BYTES + len(times) * SAMPLE_BYTES))
-    with atomic_path(out) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+    with hdf5_to_write(out, in_memory=False) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = FORMAT_VERSION
         for name in _FACTS:
@@ -206,7 +207,7 @@ def read_library(path: Path | str) -> Library:
     """
     source = existing_file(path, "library")
     try:
-        with h5py.File(source, "r") as file:
+        with hdf5_to_read(source) as file:
             attributes = {key: file.attrs[key] for key in file.attrs}
             _check_format(attributes, path)
             arrays: dict[str, Any] = {name: np.asarray(file[name][()], dtype=np.float64) for name in _UNITS}
@@ -242,7 +243,7 @@ def read_library(path: Path | str) -> Library:
 def read_recorded(path: Path | str) -> Recorded:
     """Read the motion within each transition of a library."""
     read_library(path)
-    with h5py.File(path, "r") as file:
+    with hdf5_to_read(Path(path)) as file:
         motion = np.concatenate([file[name][()] for name in _RECORDED_UNITS], axis=3, dtype=np.float32)
         return Recorded(np.asarray(file[_TIMES][()], dtype=np.float64), motion)
 
@@ -269,7 +270,7 @@ def _check_recorded(file: h5py.File, shape: tuple[int, ...], path: Path | str) -
 def library_info(path: Path | str) -> dict[str, Any]:
     """Facts about a library as plain values."""
     library = read_library(path)
-    with h5py.File(path, "r") as file:
+    with hdf5_to_read(Path(path)) as file:
         recorded_s = float(max(file[_TIMES][()], default=0.0))
         version = int(file.attrs["format_version"])
     states, actions = library.displacement_body.shape[:2]

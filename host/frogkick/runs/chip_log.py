@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import existing_file
+from frogkick.core.hdf5 import hdf5_to_read, hdf5_to_write
 from frogkick.core.shared_library import load
 from frogkick.link.frames import pack_raw
 from frogkick.link.layout import link_layout, supervisor
@@ -26,7 +26,6 @@ from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record, Stretch, rec
 from frogkick.robot import in_a_row
 from frogkick.runs.chip_twin import ChipTwin
 from frogkick.runs.decision import Decision
-from frogkick.runs.runlog_file import hdf5_to_write
 from frogkick.tables.image import Tables
 
 FORMAT = "frogkick chip log"
@@ -91,7 +90,7 @@ def read_log(source: Path | str) -> FetchedLog:
     """Read a log. InputError: missing, foreign or damaged file."""
     path = existing_file(source, "chip log")
     try:
-        with h5py.File(path, "r") as file:
+        with hdf5_to_read(path) as file:
             found, version = file.attrs.get("format"), int(file.attrs.get("format_version", 0))
             if (found, version) != (FORMAT, FORMAT_VERSION):
                 raise InputError(

@@ -57,7 +57,7 @@ class LiveLog:
         self._unanswered: list[int] = []
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            self._file = h5py.File(self.path, "w", libver="latest")
+            self._file = h5py.File(self.path, "w", libver="latest", locking="best-effort")
         except OSError as error:
             raise InputError(f"cannot write {str(self.path)!r} ({error}): choose another --out") from error
         fill(self._file, empty, CHUNK_ROWS)

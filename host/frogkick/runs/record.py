@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import pathlib
 import shlex
 import sys
@@ -223,8 +224,8 @@ class Recording:
         return RunLog(
             robot_id=robot.id,
             source=self.source,
-            period_s=tables.period_us * 1e-6,
-            pulse_s=tables.pulse_us * 1e-6,
+            period_s=tables.period_us / 1e6,
+            pulse_s=tables.pulse_us / 1e6,
             action_names=tuple(action.name for action in robot.actions),
             fixes=self.fix_columns(),
             decisions=self.decision_columns(),
@@ -275,7 +276,7 @@ class Recording:
             limit_violations=None
             if self.pool is None and not pulses
             else len(violations(self.robot, pulses)),
-            plan_ms_p99=float(np.percentile(plan_ms, 99)) if plan_ms else 0.0,
+            plan_ms_p99=float(np.percentile(plan_ms, 99)) if any(plan_ms) else math.nan,
         )
 
 
@@ -287,12 +288,19 @@ def _ended(ended: str, lost: Mapping[str, float]) -> str:
     return ended
 
 
-def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]:
-    """Provenance of a run for ``RunLog.made``. ``began_unix_s`` is the wall clock at the run's time 0."""
+def made_of(robot: Robot, tables: Tables, began_unix_s: float | None = None) -> dict[str, str]:
+    """Provenance of a run for ``RunLog.made``.
+
+    ``began_unix_s`` is the wall clock at the run's time 0; None for a simulated run, which has the same bytes
+    whenever it is made.
+    """
     program = pathlib.Path(sys.argv[0] if sys.argv else "")
     is_ours = program.stem == "frogkick" or program.parts[-3:] == ("frogkick", "cli", "main.py")
+    began = {}
+    if began_unix_s is not None:
+        began = {"began_at": datetime.fromtimestamp(began_unix_s, UTC).isoformat(timespec="microseconds")}
     return {
-        "began_at": datetime.fromtimestamp(began_unix_s, UTC).isoformat(timespec="microseconds"),
+        **began,
         "frogkick": VERSION,
         "robot_toml": robot.toml,
         "robot_sha256": robot.sha256.hex(),

@@ -228,8 +228,8 @@ class Tracking:
     """How well a run followed its path, from the first decision to the end.
 
     Distances are from the path's polyline to the true poses (simulated runs) or to the fixes.
-    ``limit_violations`` is None if the pins were not seen. ``plan_ms_p99`` is 0 where planning takes no time
-    of the run: in the simulated pool, whose clock stands still meanwhile.
+    ``limit_violations`` is None if the pins were not seen. ``plan_ms_p99`` is NaN where planning takes no
+    time of the run: in the simulated pool, whose clock stands still meanwhile.
     """
 
     mean_distance_m: float
@@ -274,10 +274,10 @@ class RunLog:
         then: paths that took its place, in the order of their decisions.
         measured: numbers about the run (name with unit suffix -> finite value).
         planner: the planner's weights and depth (field of PlanConfig -> finite value), where known.
-        made: provenance as texts, where known: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick``
-            (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; and, for a run
-            that estimated wear, ``learn``: the names of the limbs. Its decisions have a further column
-            ``lost`` (n, 8), for each limb, 0 to 32767.
+        made: provenance as texts, where known: ``began_at`` (UTC at a real run's time 0, ISO 8601),
+            ``frogkick`` (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; and,
+            for a run that estimated wear, ``learn``: the names of the limbs. Its decisions have a further
+            column ``lost`` (n, 8), for each limb, 0 to 32767.
         tracked: how well the path was followed, as measured during the run; None: of a log from a file.
     """
 

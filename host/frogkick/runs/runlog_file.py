@@ -20,10 +20,7 @@ Older logs lack these.
 
 from __future__ import annotations
 
-import io
 import pathlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any
 
@@ -31,7 +28,8 @@ import h5py
 import numpy as np
 
 from frogkick.core.errors import InputError
-from frogkick.core.files import existing_file, write_bytes
+from frogkick.core.files import existing_file
+from frogkick.core.hdf5 import hdf5_to_read, hdf5_to_write
 from frogkick.paths import POINTS_MAX, Path
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, PathChange, RunLog, Strokes, Truth
 
@@ -48,21 +46,6 @@ _SUFFIX_UNITS = {
     "_us": "us",
     "_s": "s",
 }
-
-
-@contextmanager
-def hdf5_to_write(target: pathlib.Path | str) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file in memory, and write it to ``target`` completely or not at all.
-
-    The HDF5 library itself would end the process on a full disk.
-
-    Raises:
-        InputError: the folder cannot be written to, or the disk is full.
-    """
-    content = io.BytesIO()
-    with h5py.File(content, "w") as file:
-        yield file
-    write_bytes(target, content.getvalue())
 
 
 def write_run(target: pathlib.Path | str, run: RunLog) -> None:
@@ -123,7 +106,7 @@ def read_run(source: pathlib.Path | str) -> RunLog:
     file_path = existing_file(source, "run log")
     name = file_path.name
     try:
-        with _opened(file_path) as file:
+        with hdf5_to_read(file_path) as file:
             return _read(file)
     except InputError as error:
         raise InputError(f"run log {name!r}: {str(error).removeprefix('run: ')}") from error
@@ -132,17 +115,6 @@ def read_run(source: pathlib.Path | str) -> RunLog:
         raise InputError(
             f"run log {name!r} is not HDF5, is truncated or is damaged ({reason}): record or import it again"
         ) from error
-
-
-def _opened(path: pathlib.Path) -> h5py.File:
-    """Open a log, also one that a run is writing or that a killed run left."""
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        try:
-            return h5py.File(path, "r", libver="latest", swmr=True)
-        except (OSError, ValueError):
-            raise error from None
 
 
 def _read(file: h5py.File) -> RunLog:

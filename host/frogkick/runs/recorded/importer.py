@@ -12,6 +12,7 @@ import numpy as np
 from frogkick.core.arrays import Bool, Float64, Int64
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
+from frogkick.core.hdf5 import is_hdf5
 from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.paths import from_csv
 from frogkick.robot import Robot, load_robot
@@ -40,7 +41,6 @@ SPEED_OVER_S = 0.2
 CLOCK_UNUSABLE, CLOCK_SLIPS = "stroke clock not usable: ", "stroke clock slips by "
 CLOCK_NOTES = (CLOCK_UNUSABLE, CLOCK_SLIPS, "labels contradict")
 RUN_NAME = re.compile(r"(line|sin|ellipse)(\d+)\.csv")
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 def path_file(run_file: pathlib.Path) -> pathlib.Path:
@@ -312,9 +312,7 @@ def load_run(file: pathlib.Path | str) -> RunLog:
         InputError: neither of them, or a damaged file.
     """
     source = existing_file(file, "run")
-    with source.open("rb") as stream:
-        start = stream.read(len(HDF5_MAGIC))
-    if start == HDF5_MAGIC or source.suffix in (".h5", ".hdf5"):
+    if is_hdf5(source) or source.suffix in (".h5", ".hdf5"):
         return read_run(source)
     return read_recorded(source)
 

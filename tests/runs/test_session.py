@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from tests.runs import rig
 
-from frogkick.link.frames import Frame, hello
+from frogkick.core.poses import Fix
+from frogkick.link.frames import Frame, hello, unpack_frame
+from frogkick.link.layout import link_layout
 from frogkick.link.wire import Edge
 from frogkick.paths import shape
 from frogkick.runs.decision import LIMB_USE_FIELDS
-from frogkick.runs.session import ANSWER_TIMEOUT_S, LinkError, Session
+from frogkick.runs.session import ANSWER_TIMEOUT_S, INBOX_MOST, LinkError, Session
 from frogkick.tables.image import TableError, open_image
 
 
@@ -99,3 +103,123 @@ def test_a_path_arrives_whole() -> None:
         | {"along_points": 0.0},
     )
     assert answer["status"] == 0
+
+
+class Held:
+    """A robot in simulated time, some of whose frames are held back, and some of the host's lost.
+
+    Attributes:
+        holds: whether a frame of the robot is held back from now on.
+        loses: whether a frame to the robot is lost.
+        held: the frames that are held back.
+        sent: sequence numbers of the frames from the host.
+    """
+
+    def __init__(self) -> None:
+        self.robot = rig.port("pool")
+        self.holds: Callable[[Frame], bool] = lambda _frame: False
+        self.loses: Callable[[Frame], bool] = lambda _frame: False
+        self.held: list[Frame] = []
+        self.sent: list[int] = []
+        self._late: list[Frame] = []
+        self._now_s = 0.0
+
+    def release(self) -> None:
+        """What was held back comes now."""
+        self._late, self.held = self.held, []
+
+    def send(self, encoded: bytes, at_s: float) -> None:
+        frame = unpack_frame(encoded[:-1])
+        self.sent.append(frame.sequence)
+        if not self.loses(frame):
+            self.robot.send(encoded, at_s)
+
+    def advance(self, until_s: float) -> None:
+        self._now_s = until_s
+        self.robot.advance(until_s)
+
+    def frames(self) -> list[tuple[float, Frame]]:
+        arrived = [(self._now_s, frame) for frame in self._late]
+        self._late = []
+        for time_s, frame in self.robot.frames():
+            if self.holds(frame):
+                self.held.append(frame)
+            else:
+                arrived.append((time_s, frame))
+        return arrived
+
+    def edges(self) -> list[Edge]:
+        return self.robot.edges()
+
+
+def post_fixes(session: Session, count: int) -> None:
+    for number in range(count):
+        session.post_fix(Fix(session.time_s, 0.0, 0.0, 0.0, 0.0, sequence=number), session.time_s)
+        session.step(session.time_s + 0.01)
+
+
+@pytest.mark.parametrize("when", ["before", "while it waits"])
+@pytest.mark.parametrize("fixes", [253, 254, 255, 256])
+def test_a_late_answer_to_an_older_disarm_confirms_nothing(fixes: int, when: str) -> None:
+    """Though its sequence number comes again."""
+    port = Held()
+    session = Session(port)
+    session.handshake(rig.tables())
+    port.holds = lambda frame: frame.name == "DISARM" or when == "while it waits"
+    assert not session.make_safe()
+    if when == "before":
+        port.release()
+    post_fixes(session, fixes)
+    port.loses = lambda frame: frame.name == "DISARM"
+    port.release()
+    assert not session.make_safe()
+
+
+def test_fixes_without_an_answer_use_up_no_numbers() -> None:
+    """The robot takes a number that is more than 127 ahead for an earlier one, and would act on it twice."""
+    port = Held()
+    session = Session(port)
+    session.handshake(rig.tables())
+    last = port.sent[-1]
+    port.loses = lambda _frame: True
+    post_fixes(session, 300)
+    for _ in range(5):
+        session.post("STATUS")
+    assert {(number - last) & 0xFF for number in port.sent} <= set(range(128))
+    assert len(set(port.sent[-5:])) == 5
+
+
+@pytest.mark.parametrize("lost", [126, 127, 190, 253, 254, 255])
+def test_an_arm_after_lost_frames_is_a_new_one(lost: int) -> None:
+    port = Held()
+    session = Session(port)
+    session.handshake(rig.tables())
+    for _ in range(3):
+        session.request("ARM")
+        session.request("DISARM")
+        port.loses = lambda _frame: True
+        post_fixes(session, lost)
+        port.loses = lambda _frame: False
+        session.request("ARM")
+        assert int(session.request("STATUS")["state"]) == link_layout().state["ARMED"]
+        session.request("DISARM")
+
+
+def test_what_nobody_asked_for_is_dropped() -> None:
+    """Answers without a request, an answer that comes again, an echo; of events the newest are kept."""
+    port = Held()
+    session = Session(port)
+    session.handshake(rig.tables())
+    number = session.post("STATUS")
+    session.step(session.time_s + 0.1)
+    ((_, status),) = [(arrival.time_s, arrival.frame) for arrival in session.take("STATUS")]
+    stray = Frame("ARM", "answer", 1, {"status": 0, "state": 1})
+    echo = Frame("STATUS", "command", number, {})
+    ended = Frame("ENDED", "event", 0, {"status": 0, "state": 1, "decisions": 0})
+    for _ in range(2 * INBOX_MOST):
+        port.held += [stray, status, echo, ended]
+        port.release()
+        session.step(session.time_s + 0.001)
+    assert session.take("ARM", "STATUS") == []
+    assert len(session.take("ENDED")) == INBOX_MOST
+    session.request("STATUS")

@@ -117,6 +117,8 @@ class BleWire(Wire):
         self._stop = asyncio.Event()
         self._commands: _Queue = asyncio.Queue()
         self._fixes: _Queue = asyncio.Queue()
+        self._urgent: _Queue = asyncio.Queue()
+        self._urgents = 0  # number of them so far
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
         try:
@@ -143,6 +145,14 @@ class BleWire(Wire):
         self._thread.join(CONNECT_S)
 
     def _queue(self, encoded: bytes, how: Delivery) -> None:
+        if how is Delivery.URGENT:
+            self._urgents += 1
+            for queue in (self._commands, self._fixes):
+                while not queue.empty():
+                    queue.get_nowait()
+            # The delimiter ends a frame of which not all parts are written yet.
+            self._urgent.put_nowait((DELIMITER + encoded, False))
+            return
         if how is not Delivery.NEWEST:
             self._commands.put_nowait((encoded, how is Delivery.ACKNOWLEDGED))
             return
@@ -230,7 +240,7 @@ class BleWire(Wire):
             if receiver is None:
                 raise BleakCharacteristicNotFoundError(RECEIVE)
             await client.start_notify(TRANSMIT, lambda _from, data: self.put(bytes(data)))
-            self._commands, self._fixes = asyncio.Queue(), asyncio.Queue()
+            self._commands, self._fixes, self._urgent = asyncio.Queue(), asyncio.Queue(), asyncio.Queue()
             self._commands.put_nowait((self._greeting, True))
             self.address = device.address
             self.part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
@@ -238,6 +248,7 @@ class BleWire(Wire):
             tasks = [
                 asyncio.create_task(self._write(client, receiver, self._commands, unmixed)),
                 asyncio.create_task(self._write(client, receiver, self._fixes, unmixed)),
+                asyncio.create_task(self._write(client, receiver, self._urgent, asyncio.Lock())),
                 asyncio.create_task(gone.wait()),
                 asyncio.create_task(self._stop.wait()),
             ]
@@ -259,18 +270,25 @@ class BleWire(Wire):
         queue: _Queue,
         unmixed: asyncio.Lock,
     ) -> NoReturn:
-        """Write the frames of a queue in parts of the negotiated length, without mixing two frames."""
+        """Write the frames of a queue in parts of the negotiated length, without mixing two frames.
+
+        What is left of a frame when an urgent one comes is not written any more.
+        """
         while True:
             encoded, acknowledged = await queue.get()
+            urgents = self._urgents
             size = self.part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
             async with unmixed:
                 if len(encoded) > size:
                     for first in range(0, len(encoded), size):
+                        if urgents != self._urgents:
+                            break
                         part = encoded[first : first + size]
                         await client.write_gatt_char(receiver, part, response=acknowledged)
                     continue
             # Others need not wait for the acknowledgement of a frame in one write.
-            await client.write_gatt_char(receiver, encoded, response=acknowledged)
+            if urgents == self._urgents:
+                await client.write_gatt_char(receiver, encoded, response=acknowledged)
 
 
 class _Definite(WireError):

@@ -47,7 +47,8 @@ class SerialWire(Wire):
         # Errors are left to the reading thread, which opens the port again.
         with self._write_lock, contextlib.suppress(self._serial.SerialException, OSError, TypeError):
             if line is not None:
-                line.write(encoded)
+                # The delimiter ends a frame that was cut off when the line was too slow.
+                line.write(DELIMITER + encoded if how is Delivery.URGENT else encoded)
 
     def close(self) -> None:
         self._closing.set()

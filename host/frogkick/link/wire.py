@@ -56,6 +56,8 @@ class Delivery(enum.Enum):
     """Without acknowledgement: the robot's answers pace the sender."""
     NEWEST = enum.auto()
     """Without acknowledgement and before other frames; dropped for a newer one."""
+    URGENT = enum.auto()
+    """Without acknowledgement and at once, also within another frame, instead of all that wait."""
 
 
 class Wire(ABC):

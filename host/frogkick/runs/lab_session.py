@@ -14,7 +14,7 @@ from pathlib import Path
 from frogkick.link.frames import Frame, FrameCollector, hello, unpack_frame
 from frogkick.link.layout import Arguments, Value
 from frogkick.link.wire import Delivery, Edge, Wire
-from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, LinkError, Session
+from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, LinkError, Session
 from frogkick.runs.text_robot import TextRobot
 from frogkick.tables.image import Tables
 
@@ -34,6 +34,11 @@ CLOCK_DRIFT = 1e-3
 """Additional allowance, as a share of the elapsed time: twice the drift of a robot without a crystal."""
 PAUSE_S = 1.0
 """A longer time between two steps means that the program was held up or its clock was set."""
+SWITCH_OFF = ("DISARM", "STOP")
+"""Commands that wait for none. Those before them that have no answer are not sent any more: a robot that was
+switched off must not get an older ARM."""
+RESEND_NUMBERS = 100
+"""A command is not sent again when so many sequence numbers were used since: the robot remembers 127."""
 SWITCH_S = 0.002
 """Longest time that a computing thread keeps others waiting; Python's 5 ms are a quarter of a fix period."""
 
@@ -51,8 +56,8 @@ class LabPort:
     """A ``RobotPort`` over a wire. Its clock is this computer's, from 0 at the port's start.
 
     At most ``window`` commands wait for answers; a command without an answer is sent again, and the robot
-    acts on it once. Position fixes overtake commands. They and STROKE, useless later, are never sent again.
-    Pin edges cannot be observed.
+    acts on it once. DISARM and STOP are sent at once, instead of all commands before them. Position fixes
+    overtake commands. They and STROKE, useless later, are never sent again. Pin edges cannot be observed.
 
     Attributes:
         wire: the wire.
@@ -88,6 +93,11 @@ class LabPort:
     def send(self, encoded: bytes, at_s: float) -> None:
         """Send a frame now; ``at_s`` only matters in simulated time."""
         frame = unpack_frame(encoded[:-1])  # a port gets bytes alone, as the robot does
+        self._commands = [
+            command
+            for command in self._commands
+            if frame.name not in SWITCH_OFF and (frame.sequence - command.sequence) & 0xFF <= RESEND_NUMBERS
+        ]
         if frame.name == "FIX":
             self.wire.send(encoded, Delivery.NEWEST)
             return
@@ -157,7 +167,7 @@ class LabPort:
         command.sent_s, command.connection = self.now_s, self.wire.connections
         # Acknowledged, each of a table's many chunks would take a connection interval.
         how = Delivery.ANSWERED if command.name == "TABLE_CHUNK" else Delivery.ACKNOWLEDGED
-        self.wire.send(command.encoded, how)
+        self.wire.send(command.encoded, Delivery.URGENT if command.name in SWITCH_OFF else how)
 
 
 @dataclass
@@ -169,6 +179,8 @@ class LabSession(Session):
     conversation: int = field(default_factory=lambda: 1 + secrets.randbelow(65_535))
     # longest time that the wire may be down during a request; it does not count as waiting
     patience_s: float = 60.0
+    # Random too: an answer that an earlier session no longer waited for may still come.
+    _sequence: int = field(default_factory=lambda: secrets.randbelow(64))
     _connections: int = 1
     _clock_failed: bool = False
     _offset_us: int | None = None
@@ -178,7 +190,7 @@ class LabSession(Session):
         """Wait until a time or until a frame comes; ``time_s`` is the real time afterwards."""
         self._forward_s()  # a clock that was set back would make this wait long
         self.port.advance(until_s)
-        self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
+        self._receive()
         now_s = self._forward_s()
         paused_s, self.time_s = now_s - self.time_s, now_s
         edges = self.port.edges()

@@ -27,6 +27,13 @@ ANSWER_TIMEOUT_S = 1.0
 HELLO_TIMEOUT_S = 0.05
 HELLO_TRIES = 20
 DISARM_TRIES = 3
+NUMBERS_MOST = 127
+"""Sequence numbers in use after the newest answered one, at most. The robot takes one farther ahead for
+an earlier one, and an answer would fit two commands."""
+FIX_NUMBERS_MOST = 96
+"""The same for fixes, which come without end, so that commands have numbers left."""
+INBOX_MOST = 1024
+"""Frames that wait to be taken, at most; of more the oldest are dropped. Fewer come while a request waits."""
 
 
 class LinkError(FrogkickError):
@@ -66,7 +73,10 @@ class Session:
     # file of the owner's key, for a robot that has one; None: ``default_key_file``
     key_file: FilePath | None = None
     _auth: auth.CommandCodes | None = None
-    _sequence: int = 0
+    _sequence: int = 0  # newest sequence number in use
+    _unheard: int = 0  # sequence numbers in use after the newest one that was answered
+    _fix_sequence: int | None = None  # that of the newest fix
+    _unanswered: dict[int, str] = field(default_factory=dict)  # sequence number -> name of a command
     _inbox: list[Arrival] = field(default_factory=list)
 
     def step(self, until_s: float) -> None:
@@ -74,9 +84,22 @@ class Session:
         self.port.advance(until_s)
         edges = self.port.edges()
         self.edges += edges
-        self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
+        self._receive()
         self.on_step(until_s, edges)
         self.time_s = until_s
+
+    def _receive(self) -> None:
+        """Take what has arrived: events, and the first answer to each command."""
+        for time_s, frame in self.port.frames():
+            if frame.kind == "command":  # from a line that echoes
+                continue
+            if frame.kind == "answer":
+                if self._unanswered.get(frame.sequence) != frame.name:
+                    continue
+                del self._unanswered[frame.sequence]
+                self._unheard = min(self._unheard, (self._sequence - frame.sequence) & 0xFF)
+            self._inbox.append(Arrival(time_s, frame))
+        del self._inbox[:-INBOX_MOST]
 
     def post(
         self,
@@ -86,9 +109,26 @@ class Session:
         at_s: float | None = None,
     ) -> int:
         """Send a command without waiting; return its sequence number."""
-        self._sequence = (self._sequence + 1) & 0xFF
-        encoded = pack_frame(name, "command", self._sequence, values, rows, self._auth)
+        sequence = self._next_sequence(name)
+        encoded = pack_frame(name, "command", sequence, values, rows, self._auth)
         self.port.send(encoded, self.time_s if at_s is None else at_s)
+        return sequence
+
+    def _next_sequence(self, name: str) -> int:
+        """The sequence number of a new command. An answer that came to an earlier one by it is dropped."""
+        if name == "FIX" and self._unheard >= FIX_NUMBERS_MOST and self._fix_sequence is not None:
+            return self._fix_sequence
+        if self._unheard < NUMBERS_MOST:
+            self._sequence = (self._sequence + 1) & 0xFF
+            self._unheard += 1
+        if name == "FIX":
+            self._fix_sequence = self._sequence
+        self._unanswered[self._sequence] = name
+        self._inbox = [
+            arrival
+            for arrival in self._inbox
+            if arrival.frame.kind != "answer" or arrival.frame.sequence != self._sequence
+        ]
         return self._sequence
 
     def post_fix(self, fix: Fix, at_s: float) -> int:

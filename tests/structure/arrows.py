@@ -56,7 +56,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
 """Folder or module of frogkick -> those that it may import besides itself and ``EVERYBODY``."""
 
 WHEELS: Mapping[str, frozenset[str]] = {
-    "core": frozenset({"cffi", "distributed", "numba", "numpy", "rich"}),
+    "core": frozenset({"cffi", "distributed", "h5py", "numba", "numpy", "rich"}),
     "tables": frozenset({"numpy", "numba"}),
     "planner": frozenset({"numpy", "numba"}),
     "estimator": frozenset({"numpy", "numba"}),

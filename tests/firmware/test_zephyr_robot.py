@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 import yaml
 from devicetree import dtlib
+from kconfiglib import TRI_TO_STR
 from tests.conftest import from_ci, some
 from west.manifest import ImportFlag, Manifest
-from zephyr_robot import DECLARED, ROBOT, configuration, defines, headers
+from zephyr_robot import DECLARED, ROBOT, VERSIONS, configuration, defines, headers
 
 from frogkick.robot import load_robot
 from frogkick_codegen.toolchain import ToolchainError, zig
@@ -41,11 +42,11 @@ def check(source: str, made: Path, folder: Path, options: list[str]) -> None:
 @from_ci
 @pytest.mark.parametrize("source", [source.name for source in SOURCES])
 @pytest.mark.parametrize("open_link", some([False, True], 1))
-@pytest.mark.parametrize("version", ["3, 7, 0", "4, 2, 0"])
+@pytest.mark.parametrize("version", VERSIONS)
 def test_the_c_compiles_against_what_zephyr_declares(
     source: str, open_link: bool, version: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = configuration(monkeypatch, ROBOT / "prj.conf")
+    found = configuration(monkeypatch, ROBOT / "prj.conf", version=version)
     if open_link:
         found.syms["FROGKICK_OPEN_LINK"].set_value("y")
     options = [*defines(found), f"-DZEPHYR_VERSION_CODE=ZEPHYR_VERSION({version})"]
@@ -70,10 +71,37 @@ def test_a_wrong_call_does_not(
         check(text.replace(before, after), made, tmp_path, options)
 
 
-def test_the_configuration_is_taken_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every line of prj.conf names a symbol that there is, of its type and range, with what it needs."""
-    found = configuration(monkeypatch, ROBOT / "prj.conf")
+@pytest.mark.parametrize(
+    ("source", "option", "message"),
+    [
+        ("limbs.c", "-DNRFX_CONFIG_API_VER_MAJOR=4", "written for nrfx 3"),
+        ("flash.c", "-UCONFIG_USE_DT_CODE_PARTITION", "may lie over the tables"),
+    ],
+)
+def test_a_build_that_cannot_be_right_is_refused(
+    source: str, option: str, message: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another nrfx; the whole flash for the program."""
+    options = [*defines(configuration(monkeypatch, ROBOT / "prj.conf")), option]
+    with pytest.raises(ToolchainError, match=message):
+        check((ROBOT / "src" / source).read_text(), made, tmp_path, options)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_configuration_is_taken_whole(version: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Every line of prj.conf names a symbol that there is, of its type and range, with what it needs.
+
+    Before it are read the lines of both boards that it takes back.
+    """
+    board = tmp_path / "board_defconfig"
+    board.write_text("CONFIG_USE_SEGGER_RTT=y\nCONFIG_RTT_CONSOLE=y\n")
+    found = configuration(monkeypatch, board, ROBOT / "prj.conf", version=version)
     assert found.warnings == []
+    for symbol in found.unique_defined_syms:  # Zephyr warns of each that did not get what was asked for last
+        asked = symbol.user_value
+        assert asked is None or symbol.str_value == (TRI_TO_STR[asked] if isinstance(asked, int) else asked)
+    told_by = {name for name in ("BT_FIXED_PASSKEY", "BT_APP_PASSKEY") if found.syms[name].str_value == "y"}
+    assert told_by == {"BT_APP_PASSKEY" if version == "4, 3, 0" else "BT_FIXED_PASSKEY"}
     for line in (ROBOT / "prj.conf").read_text().splitlines():
         if line and not line.startswith("#"):
             name, value = line.removeprefix("CONFIG_").split("=", 1)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROBOT = Path(__file__).parents[2] / "firmware" / "robot"
 DECLARED = Path(__file__).parent / "zephyr"
-LIBC = {"errno.h", "string.h", "stdint.h"}
+LIBC = {"errno.h", "string.h", "stddef.h", "stdint.h"}
 PINS = tuple(range(22, 30))
 _ROOM = 65536
 
@@ -35,7 +35,8 @@ def headers(text: str, folder: Path) -> None:
     for name in set(re.findall(r"#include <([^>]+)>", text)) - LIBC:
         header = folder / name
         header.parent.mkdir(parents=True, exist_ok=True)
-        header.write_text('#include "declared.h"\n')
+        own = DECLARED / header.name  # where the order of includes matters
+        header.write_text(own.read_text() if own.exists() else '#include "declared.h"\n')
 
 
 def play(made: Path, folder: Path, options: list[str]) -> Path:
@@ -136,11 +137,17 @@ class ZephyrRobot:
         return float(self.stage.play_watchdog_us()) * 1e-6
 
 
-def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path) -> Kconfig:
+VERSIONS = {"3, 7, 0": "0x3070000", "4, 3, 0": "0x4030000"}
+"""Of Zephyr: as its C macro takes it, and as its build tells Kconfig (KERNELVERSION in cmake/modules/version.cmake)."""
+
+
+def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path, version: str = "3, 7, 0") -> Kconfig:
     from kconfiglib import Kconfig
 
     monkeypatch.setenv("srctree", str(DECLARED))
+    monkeypatch.setenv("KERNELVERSION", VERSIONS[version])
     found = Kconfig(str(ROBOT / "Kconfig"), warn_to_stderr=False)
+    found.warn_assign_override = False  # as in Zephyr's kconfig.py: a later file takes back an earlier one's line
     for number, file in enumerate(settings):
         found.load_config(str(file), replace=number == 0)
     return found

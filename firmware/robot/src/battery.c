@@ -22,7 +22,8 @@ BUILD_ASSERT((PIN_MASK & GATES_MASK) == 0u, "a battery's input is a limb's gate:
 #define FULL_BITS 12
 
 static fk_battery_t battery;
-static volatile nrf_saadc_value_t results[INPUTS]; /* the converter writes them */
+/* The converter writes them: halfwords on this chip, for which nrfx has no type of its own from 3.2 on. */
+static volatile int16_t results[INPUTS];
 
 void fk_battery_pins_init(void)
 {
@@ -50,7 +51,7 @@ void fk_battery_pins_init(void)
         }
     }
     nrf_saadc_resolution_set(NRF_SAADC, NRF_SAADC_RESOLUTION_12BIT);
-    nrf_saadc_buffer_init(NRF_SAADC, (nrf_saadc_value_t *)results, count);
+    nrf_saadc_buffer_init(NRF_SAADC, (void *)results, count);
     nrf_saadc_enable(NRF_SAADC);
     nrf_saadc_task_trigger(NRF_SAADC, NRF_SAADC_TASK_START);
 }

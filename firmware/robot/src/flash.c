@@ -10,6 +10,11 @@
 #define JOURNAL_BYTES (FK_STORE_JOURNAL_PAGES * FK_FLASH_PAGE_BYTES)
 #define SLOT_BYTES ((DT_REG_SIZE(TABLES) - JOURNAL_BYTES) / FK_STORE_SLOTS_MAX)
 
+/* Without it the linker takes all 512 KB, and an image of more than the program's partition lies over the tables. */
+#if !defined(CONFIG_USE_DT_CODE_PARTITION)
+#error "set CONFIG_USE_DT_CODE_PARTITION=y: without it the image may lie over the tables"
+#endif
+
 BUILD_ASSERT(SLOT_BYTES % FK_FLASH_PAGE_BYTES == 0, "two slots of whole pages behind the journal");
 
 static const struct device *const controller = DEVICE_DT_GET(DT_MTD_FROM_FIXED_PARTITION(TABLES));

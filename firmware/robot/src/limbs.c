@@ -14,6 +14,11 @@
 #include <zephyr/sys/onoff.h>
 #include <zephyr/sys/util.h>
 
+/* nrfx 4 has other instances, returns an errno and connects PPI by handles. */
+#if NRFX_CONFIG_API_VER_MAJOR != 3
+#error "limbs.c is written for nrfx 3, which Zephyr has from 3.7 to 4.3"
+#endif
+
 #define LIMBS_NODE DT_NODELABEL(limbs)
 #define LIMB_PIN(node, property, index) DT_GPIO_PIN_BY_IDX(node, property, index)
 

@@ -162,12 +162,6 @@ static void on_cancel(struct bt_conn *conn)
     (void)conn;
 }
 
-static const struct bt_conn_auth_cb authentication = {
-    .pairing_accept = on_pairing,
-    .passkey_display = on_passkey,
-    .cancel = on_cancel,
-};
-
 static unsigned int passkey(void)
 {
     uint8_t serial[8] = {0};
@@ -183,15 +177,33 @@ static unsigned int passkey(void)
     return hash % 1000000u;
 }
 
+/* Zephyr asks for the passkey from 4.3 on; before, it is told once. Kconfig chooses. */
+#if defined(CONFIG_BT_APP_PASSKEY)
+static uint32_t on_passkey_wanted(struct bt_conn *conn)
+{
+    (void)conn;
+    return passkey();
+}
+#endif
+
+static const struct bt_conn_auth_cb authentication = {
+    .pairing_accept = on_pairing,
+    .passkey_display = on_passkey,
+    .cancel = on_cancel,
+#if defined(CONFIG_BT_APP_PASSKEY)
+    .app_passkey = on_passkey_wanted,
+#endif
+};
+
 static int32_t secure(void)
 {
-    const unsigned int key = passkey();
-    const int error = bt_passkey_set(key);
-
-    printk("passkey %06u\n", key);
+    printk("passkey %06u\n", passkey());
+#if !defined(CONFIG_BT_APP_PASSKEY)
+    const int error = bt_passkey_set(passkey());
     if (error != 0) {
         return error;
     }
+#endif
     const int told = bt_conn_auth_info_cb_register(&outcome);
     return (told != 0) ? told : bt_conn_auth_cb_register(&authentication);
 }

@@ -1,4 +1,7 @@
 /* Random bytes for the nonces of fk_auth.h, from Bluetooth's generator: they are asked for by frames, so it runs. */
+#include <stddef.h> /* before crypto.h, which uses size_t without it */
+#include <stdint.h>
+
 #include <zephyr/bluetooth/crypto.h>
 
 #include "fk_auth.h"

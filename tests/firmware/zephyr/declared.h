@@ -1,6 +1,9 @@
-/* What firmware/robot uses of Zephyr 3.7 and nrfx 3, declared as there, so that its C can be checked without them.
- * Every header that it includes leads here. What its macros make can be found from outside, by played.c, which lives
- * through a life of the application; nothing else is defined here. */
+/* What firmware/robot uses of Zephyr and nrfx, declared as there, so that its C can be checked without them: of Zephyr
+ * 3.7 with nrfx 3.5, and of 4.3 with nrfx 3.14. Every header that it includes leads here, but crypto.h. What its macros
+ * make can be found from outside, by played.c, which lives through a life of the application; nothing else is defined
+ * here. Read where: nrfx's headers at the releases 3.6.0 (2024-07-26) and 3.10.0 (2025-01-21), between which nothing that
+ * is used here differs, and its list of changes up to 3.14.0; Zephyr's at revisions of about 3.7 and 4.x and its guide
+ * of migration to 4.3. Where a version matters, it and the file are named. */
 #ifndef DECLARED_H
 #define DECLARED_H
 
@@ -13,6 +16,11 @@
 #define ZEPHYR_VERSION(a, b, c) (((a) << 16) + ((b) << 8) + (c))
 #ifndef ZEPHYR_VERSION_CODE
 #define ZEPHYR_VERSION_CODE ZEPHYR_VERSION(3, 7, 0)
+#endif
+
+/* nrfx: templates/nrfx_config.h or Zephyr's modules/hal_nordic/nrfx/nrfx_config.h choose the version of its interface */
+#ifndef NRFX_CONFIG_API_VER_MAJOR
+#define NRFX_CONFIG_API_VER_MAJOR 3
 #endif
 
 /* zephyr/sys/util.h, toolchain.h */
@@ -140,7 +148,6 @@ int flash_write(const struct device *dev, off_t offset, const void *data, size_t
 #define RESET_SOFTWARE BIT(1)
 #define RESET_WATCHDOG BIT(4)
 #define RESET_CPU_LOCKUP BIT(8)
-int bt_rand(void *buf, size_t len);
 ssize_t hwinfo_get_device_id(uint8_t *buffer, size_t length);
 int hwinfo_get_reset_cause(uint32_t *cause);
 int hwinfo_clear_reset_cause(void);
@@ -213,7 +220,8 @@ struct bt_bond_info {
 };
 void bt_foreach_bond(uint8_t id, void (*func)(const struct bt_bond_info *info, void *user_data), void *user_data);
 
-#define BT_CONN_TYPE_LE BIT(0)
+/* An enum since before 3.7: conn.h. */
+enum __attribute__((packed)) bt_conn_type { BT_CONN_TYPE_LE = 1 };
 enum bt_conn_state { BT_CONN_STATE_DISCONNECTED, BT_CONN_STATE_CONNECTED };
 struct bt_conn_info {
     uint8_t type;
@@ -222,7 +230,7 @@ struct bt_conn_info {
 int bt_conn_get_info(const struct bt_conn *conn, struct bt_conn_info *info);
 struct bt_conn *bt_conn_ref(struct bt_conn *conn);
 void bt_conn_unref(struct bt_conn *conn);
-void bt_conn_foreach(int type, void (*func)(struct bt_conn *conn, void *data), void *data);
+void bt_conn_foreach(enum bt_conn_type type, void (*func)(struct bt_conn *conn, void *data), void *data);
 struct bt_conn_cb {
     void (*connected)(struct bt_conn *conn, uint8_t err);
     void (*disconnected)(struct bt_conn *conn, uint8_t reason);
@@ -238,6 +246,9 @@ struct bt_conn_auth_cb {
     enum bt_security_err (*pairing_accept)(struct bt_conn *conn, const struct bt_conn_pairing_feat *const feat);
     void (*passkey_display)(struct bt_conn *conn, unsigned int passkey);
     void (*cancel)(struct bt_conn *conn);
+#if defined(CONFIG_BT_APP_PASSKEY) /* from 4.3 on: conn.h */
+    uint32_t (*app_passkey)(struct bt_conn *conn);
+#endif
 };
 int bt_conn_auth_cb_register(const struct bt_conn_auth_cb *cb);
 struct bt_conn_auth_info_cb {
@@ -245,6 +256,9 @@ struct bt_conn_auth_info_cb {
     void (*pairing_failed)(struct bt_conn *conn, enum bt_security_err reason);
 };
 int bt_conn_auth_info_cb_register(struct bt_conn_auth_info_cb *cb);
+#if ZEPHYR_VERSION_CODE >= ZEPHYR_VERSION(4, 3, 0) /* deprecated there: conn.h, guide of migration to 4.3 */
+__attribute__((deprecated))
+#endif
 int bt_passkey_set(unsigned int passkey);
 
 struct bt_gatt_attr;
@@ -293,7 +307,7 @@ typedef struct {
     uint32_t TASKS_START;
 } NRF_SAADC_Type;
 #define NRF_SAADC ((NRF_SAADC_Type *)0x40007000UL)
-typedef int16_t nrf_saadc_value_t;
+typedef void nrf_saadc_value_t; /* since nrfx 3.2; uint16_t before */
 typedef enum { NRF_SAADC_RESOLUTION_12BIT = 2 } nrf_saadc_resolution_t;
 typedef enum { NRF_SAADC_INPUT_DISABLED = 0, NRF_SAADC_INPUT_AIN0 = 1 } nrf_saadc_input_t;
 typedef enum { NRF_SAADC_RESISTOR_DISABLED } nrf_saadc_resistor_t;
@@ -322,7 +336,7 @@ void nrf_saadc_task_trigger(NRF_SAADC_Type *p_reg, nrf_saadc_task_t task);
 bool nrf_saadc_event_check(const NRF_SAADC_Type *p_reg, nrf_saadc_event_t event);
 void nrf_saadc_event_clear(NRF_SAADC_Type *p_reg, nrf_saadc_event_t event);
 
-/* nrfx 3 */
+/* nrfx: nrfx_gpiote.h, nrfx_timer.h, nrfx_power.h, nrfx_gppi.h, the same from 3.2 to 3.14 */
 typedef enum { NRFX_SUCCESS = 0x0BAD0000, NRFX_ERROR_NO_MEM } nrfx_err_t;
 typedef uint32_t nrfx_gpiote_pin_t;
 typedef enum { NRF_GPIO_PIN_S0S1 } nrf_gpio_pin_drive_t;
@@ -358,8 +372,10 @@ uint32_t nrfx_gpiote_set_task_address_get(const nrfx_gpiote_t *instance, nrfx_gp
 typedef enum { NRF_TIMER_EVENT_COMPARE0 = 0x140, NRF_TIMER_EVENT_COMPARE1 = 0x144 } nrf_timer_event_t;
 typedef enum { NRF_TIMER_CC_CHANNEL0, NRF_TIMER_CC_CHANNEL1 } nrf_timer_cc_channel_t;
 typedef enum { NRF_TIMER_BIT_WIDTH_16, NRF_TIMER_BIT_WIDTH_32 = 3 } nrf_timer_bit_width_t;
-#define NRF_TIMER_SHORT_COMPARE0_STOP_MASK (1u << 8)
-#define NRF_TIMER_SHORT_COMPARE0_CLEAR_MASK (1u << 0)
+typedef enum {
+    NRF_TIMER_SHORT_COMPARE0_CLEAR_MASK = 1 << 0,
+    NRF_TIMER_SHORT_COMPARE0_STOP_MASK = 1 << 8
+} nrf_timer_short_mask_t;
 typedef struct {
     uint8_t instance_id;
 } nrfx_timer_t;
@@ -378,7 +394,7 @@ void nrfx_timer_clear(const nrfx_timer_t *instance);
 void nrfx_timer_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
                         bool enable_int);
 void nrfx_timer_extended_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
-                                 uint32_t shorts, bool enable_int);
+                                 nrf_timer_short_mask_t shorts, bool enable_int);
 uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *instance, uint32_t channel);
 void nrfx_timer_2_irq_handler(void);
 

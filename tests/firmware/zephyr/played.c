@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "played.h"
+#include "crypto.h"
 
 #define THREADS 2 /* 0: main, of Zephyr's default priority 0; 1: the one that the application defines */
 #define TICKS_PER_S 32768u

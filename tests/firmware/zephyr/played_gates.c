@@ -93,7 +93,7 @@ static int asserts; /* that nrfx would have raised */
 #define FULL_SCALE_MV 3600
 static int battery_mv[8];
 static uint32_t battery_channels;
-static nrf_saadc_value_t *battery_results;
+static int16_t *battery_results; /* halfwords, as the chip writes them */
 static int converter_is_on;
 static int converter_is_started;
 static uint64_t converted_us = NEVER;
@@ -142,7 +142,7 @@ bool nrf_saadc_event_check(const NRF_SAADC_Type *p_reg, nrf_saadc_event_t event)
         return false;
     }
     for (uint32_t i = 0; i < battery_channels; ++i) {
-        battery_results[i] = (nrf_saadc_value_t)(battery_mv[i] * 4096 / FULL_SCALE_MV);
+        battery_results[i] = (int16_t)(battery_mv[i] * 4096 / FULL_SCALE_MV);
     }
     return true;
 }
@@ -306,7 +306,7 @@ void nrfx_timer_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t cha
     compare[channel] = value;
 }
 void nrfx_timer_extended_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
-                                 uint32_t shorts, bool enable_int)
+                                 nrf_timer_short_mask_t shorts, bool enable_int)
 {
     (void)shorts;
     nrfx_timer_compare(instance, channel, value, enable_int);

@@ -78,7 +78,7 @@ struct bt_conn *bt_conn_ref(struct bt_conn *conn)
     return conn;
 }
 void bt_conn_unref(struct bt_conn *conn) { --conn->references; }
-void bt_conn_foreach(int type, void (*func)(struct bt_conn *conn, void *data), void *data)
+void bt_conn_foreach(enum bt_conn_type type, void (*func)(struct bt_conn *conn, void *data), void *data)
 {
     (void)type;
     if (is_connected) {

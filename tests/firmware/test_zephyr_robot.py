@@ -88,7 +88,9 @@ def test_a_build_that_cannot_be_right_is_refused(
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_configuration_is_taken_whole(version: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_configuration_is_taken_whole(
+    version: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Every line of prj.conf names a symbol that there is, of its type and range, with what it needs.
 
     Before it are read the lines of both boards that it takes back.

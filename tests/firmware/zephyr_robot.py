@@ -147,7 +147,9 @@ def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path, version: str
     monkeypatch.setenv("srctree", str(DECLARED))
     monkeypatch.setenv("KERNELVERSION", VERSIONS[version])
     found = Kconfig(str(ROBOT / "Kconfig"), warn_to_stderr=False)
-    found.warn_assign_override = False  # as in Zephyr's kconfig.py: a later file takes back an earlier one's line
+    found.warn_assign_override = (
+        False  # as in Zephyr's kconfig.py: a later file takes back an earlier one's line
+    )
     for number, file in enumerate(settings):
         found.load_config(str(file), replace=number == 0)
     return found

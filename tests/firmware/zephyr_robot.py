@@ -138,7 +138,7 @@ class ZephyrRobot:
 
 
 VERSIONS = {"3, 7, 0": "0x3070000", "4, 3, 0": "0x4030000"}
-"""Of Zephyr: as its C macro takes it, and as its build tells Kconfig (KERNELVERSION in cmake/modules/version.cmake)."""
+"""Of Zephyr: as its C macro takes it, and as its version.cmake tells Kconfig (KERNELVERSION)."""
 
 
 def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path, version: str = "3, 7, 0") -> Kconfig:

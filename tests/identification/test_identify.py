@@ -263,6 +263,10 @@ def test_bad_logs_are_one_clear_line_each(whole: list[Segments]) -> None:
     jumped = run.fixes.capture_time_s - np.where(np.arange(len(x_mm)) > 60, 5.0, 0.0)
     with pytest.raises(InputError, match=r"clock jumps by 5\.0 s"):
         segments_of(with_fixes(capture_time_s=jumped), "x.h5", robot())
+    for off_s in (60.0, 1.7e9):  # nothing is compared, so there is no verdict
+        times = {name: getattr(run.fixes, name) + off_s for name in ("time_s", "capture_time_s")}
+        with pytest.raises(InputError, match=r"none of its 3 strokes has position fixes .* on one clock"):
+            segments_of(with_fixes(**times), "x.h5", robot())
     with pytest.raises(InputError, match="no test run has a whole period"):
         identify(whole, [replace_periods(whole[0], 0)], robot())
 

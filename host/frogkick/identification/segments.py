@@ -249,7 +249,7 @@ def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
     end_s = np.where(np.abs(ends - start_s - run.period_s) < 0.2 * run.period_s, ends, start_s + run.period_s)
     # If a clock slipped, the period before may be cut short: another stroke falls into it.
     whole = (end_s <= last_s + _END_AFTER_S) & (ends > end_s - 1e-9)
-    return Segments(
+    made = Segments(
         name=name,
         robot_id=run.robot_id,
         action_names=run.action_names,
@@ -264,6 +264,20 @@ def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
         lag_s=lag_s,
         problem=clock_problem(run),
         rest_rate=_rest_rate(run, time_s[order]),
+    )
+    if len(made.start_s) and not np.isfinite(made.measured).all(axis=1).any():
+        raise InputError(f"run {name!r}: {_nothing_compared(run, time_s)}")
+    return made
+
+
+def _nothing_compared(run: RunLog, time_s: Float64) -> str:
+    """Why no period of a run ends at fixes; ``time_s`` are those of its fixes."""
+    strokes_s = run.decisions.time_s
+    lies = f"at {time_s.min():.1f} to {time_s.max():.1f} s" if len(time_s) else "nowhere"
+    return (
+        f"none of its {len(strokes_s)} strokes has position fixes at the end of its period: its strokes lie "
+        f"at {strokes_s.min():.1f} to {strokes_s.max():.1f} s, its fixes {lies}; give both on one clock, in "
+        "seconds"
     )
 
 

@@ -29,6 +29,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.runs.chip_log import FetchedLog, write_log
 from frogkick.runs.closed_loop import configure, run_session
 from frogkick.runs.decision import events_of_frame
+from frogkick.runs.lab_session import HELLO_TRIES, LabPort, LabSession
 from frogkick.runs.pushing import UploadError, own, push, roll_back, upload
 from frogkick.runs.record import RunOptions
 from frogkick.runs.session import LinkError, Session
@@ -238,6 +239,32 @@ def test_bytes_that_nobody_takes_do_not_fill_the_memory() -> None:
     assert ARRIVED_MAX - 1000 <= sum(len(data) for _, data in wire.receive(0.0)) <= ARRIVED_MAX
     wire.put(b"later")
     assert [data for _, data in wire.receive(0.0)] == [b"later"]
+
+
+class Flapping(Deaf):
+    """A wire that comes up and drops again at once, as long as somebody listens; its time is simulated."""
+
+    name, window = "serial:flapping", 1
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = 0.0
+        self.connected()
+
+    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
+        self.now_s += max(0.001, timeout_s)
+        assert self.now_s < 1000.0
+        self.connected()
+        self.lost()
+        return []
+
+
+def test_a_device_that_comes_and_goes_ends_the_session() -> None:
+    wire = Flapping()
+    session = LabSession(LabPort(wire, lambda: wire.now_s))
+    with pytest.raises(LinkError, match="serial:flapping is connected and does not answer HELLO"):
+        session.hello()
+    assert wire.connections > 10 and wire.now_s < 2 * HELLO_TRIES * session.patience_s
 
 
 class Escapes(LiveRobot):

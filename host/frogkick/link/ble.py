@@ -122,7 +122,7 @@ class BleWire(Wire):
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
         try:
-            while not self.wait_up(1.0):
+            while not (self.wait_up(1.0) or self.connections):
                 continue
         except BaseException:
             self.close()

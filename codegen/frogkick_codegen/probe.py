@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from frogkick.core.errors import FrogkickError, InputError, require
+from frogkick.core.errors import FrogkickError, InputError, printable, require
 from frogkick_codegen.firmware import CHIPS
 
 TARGET = "nrf52832"
@@ -77,7 +77,7 @@ def flash(
                 )
             _programmer(session, progress).program(str(image), file_format="hex")
             session.target.reset()
-            return str(session.probe.description)
+            return printable(str(session.probe.description))
     except FrogkickError:
         raise
     except Exception as error:

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from frogkick.core.errors import EXTRAS, FrogkickError, install_command, installed
+from frogkick.core.errors import EXTRAS, FrogkickError, install_command, installed, printable
 from frogkick.core.version import VERSION
 from frogkick.link.serial import ports
 
@@ -218,7 +218,7 @@ def debug_probes() -> list[str]:
     from frogkick_codegen.probe import probes
 
     try:
-        return [f"{probe.unique_id} ({probe.description})" for probe in probes()]
+        return [printable(f"{probe.unique_id} ({probe.description})") for probe in probes()]
     except Exception:  # a driver of a probe may fail on this system
         return []
 

@@ -10,9 +10,9 @@ import hashlib
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from typing import Any
 from frogkick.core.errors import InputError, require
 from frogkick.core.files import atomic_path, cache_folder, one_at_a_time, write_bytes
 from frogkick.core.weights import WEIGHTS
-from frogkick.planner.plan import PlanConfig, look_up_most_ns, transitions_in
+from frogkick.planner.plan import PlanConfig, look_up_most_ns, states_most, transitions_of
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen import declared
@@ -77,6 +77,7 @@ class Firmware:
         files: files by kind: elf, hex and map, or library.
         flash_bytes, ram_bytes: bytes of the chip's flash and RAM, including the stack; 0 for "native".
         stack_bytes: bytes reserved for the stack; 0 for "native".
+        plan_time: keys of ``frogkick.front.plan_time``; empty where it was not asked for.
     """
 
     target: str
@@ -85,8 +86,9 @@ class Firmware:
     flash_bytes: int = 0
     ram_bytes: int = 0
     stack_bytes: int = 0
+    plan_time: Mapping[str, Any] = field(default_factory=dict)
 
-    def as_json(self) -> dict[str, int | str | dict[str, str]]:
+    def as_json(self) -> dict[str, Any]:
         """The keys of the command ``firmware build``."""
         files = {what: str(path) for what, path in self.files.items()}
         return {**vars(self), "image": str(self.image), "files": files}
@@ -181,7 +183,14 @@ def _c_float(value: float) -> str:
     return f"{float(value).hex()}f /* {value!r} */"
 
 
-def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler | None = None) -> Firmware:
+def build(
+    target: str,
+    image: Path,
+    robot: Robot,
+    out: Path,
+    compiler: Compiler | None = None,
+    timed: Callable[[Path, Path], Mapping[str, Any]] | None = None,
+) -> Firmware:
     """Build firmware around a table image.
 
     Args:
@@ -191,6 +200,8 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         out: folder for the results, not touched before everything is built; the same arguments give the
             same bytes.
         compiler: for the target "native"; zig where it is None.
+        timed: of a chip's image (ELF) and the folder of its planner's sources: how long it plans
+            (``Firmware.plan_time``), or an error where that is too long.
 
     Raises:
         InputError: unknown target, the table is for another robot, the limits of the robot's guard are out of
@@ -202,11 +213,12 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         raise InputError(f"firmware target is {target!r}: choose from {', '.join(TARGETS)}")
     tables = read_image(image)
     tables.require_robot(robot.id)
-    if transitions_in(tables) < len(tables.actions):
+    actions, states = len(tables.actions), len(tables.states)
+    if transitions_of(tables) < actions:
         raise InputError(
-            f"the table has {len(tables.states)} states: a look-up may take the chip "
-            f"{look_up_most_ns(tables) * 1e-6:.0f} ms, and a decision longer than its watchdog waits: "
-            "build a table of fewer states"
+            f"the table has {states} states: a look-up may take the chip "
+            f"{look_up_most_ns(states, tables.tree_levels) * 1e-6:.0f} ms, and a decision longer than its "
+            f"watchdog waits: build a table of at most {states_most(actions, tables.period_us)} states"
         )
     if compiler is None:
         require_tools(target)
@@ -218,8 +230,9 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         if target in CHIPS:
             made = _build_image(work, target, tables.limbs, len(tables.image), robot)
             sizes = image_sizes(made["elf"], CHIPS[target])
+            plan_time = timed(made["elf"], work / "emitted") if timed is not None else {}
         else:
-            made, sizes = _build_native(work, compiler or zig("host")), (0, 0, 0)
+            made, sizes, plan_time = _build_native(work, compiler or zig("host")), (0, 0, 0), {}
         files = {what: out / path.name for what, path in made.items()}
         contents = {files[what]: path.read_bytes() for what, path in made.items()}
         contents[out / "fk_robot_config.h"] = config.encode()
@@ -232,7 +245,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
                     temporary.flush()
                     os.fsync(temporary.fileno())
             swap_in(out / "emitted", rendered)
-    return Firmware(target, files["elf" if target in CHIPS else "library"], files, *sizes)
+    return Firmware(target, files["elf" if target in CHIPS else "library"], files, *sizes, plan_time)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ static void begin_with_tables(fk_robot_t *robot, uint8_t learn)
 {
     fk_estimator_init(&robot->estimator, &robot->tables, learn);
     robot->period_us = robot->tables.period_us;
+    robot->transitions_most = fk_fit_transitions(&robot->tables);
     robot->resting_action = robot->tables.actions;
     for (uint8_t action = robot->tables.actions; action > 0u; --action) {
         fk_action_t masks;
@@ -131,7 +132,7 @@ uint32_t fk_robot_transitions_within(uint32_t plan_us)
 
 int32_t fk_robot_plan(const fk_robot_t *robot, uint8_t depth, const fk_state_t *state, fk_plan_t *plan)
 {
-    const uint32_t most = fk_fit_transitions(&robot->tables);
+    const uint32_t most = robot->transitions_most;
     fk_plan_config_t config = robot->plan;
     config.depth = depth;
     config.transitions_max = (config.transitions_max > most) ? most : config.transitions_max; /* it is never 0: no limit */

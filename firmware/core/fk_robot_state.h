@@ -33,6 +33,7 @@ struct fk_robot {
     fk_tables_t tables;
     fk_path_t path;
     fk_plan_config_t plan;
+    uint32_t transitions_most; /* by the table: fk_fit_transitions() */
     fk_follow_t follow;
     fk_estimator_t estimator;
     fk_guard_t guard;

@@ -10,7 +10,7 @@ from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
 from frogkick.link.layout import link_layout
-from frogkick.planner.plan import PlanConfig, on_robot, transitions_in
+from frogkick.planner.plan import PlanConfig, on_robot, transitions_of
 from frogkick.robot import load_robot
 from frogkick.runs.decision import LIMB_USE_FIELDS, STATE_FIELDS
 from frogkick.tables.image import open_image
@@ -101,11 +101,11 @@ def test_a_search_in_a_table_whose_states_are_all_alike_ends_early() -> None:
         answer = robot.ask(
             "PLAN", {"depth": 4, **state, **dict.fromkeys(LIMB_USE_FIELDS, 0), "along_points": 0.0}
         )
-        most = transitions_in(open_image(image))
+        most = transitions_of(open_image(image))
         assert answer["status"] == 0 and answer["transitions"] == min(9 + 81 + 729 + 6561, most)
         assert on_robot(PlanConfig(transitions_max=0), open_image(image)).transitions_max == most
     image_count = -26
     for states in (32_000, 60_000):
         image = synthetic.alike(states, 13)
-        assert transitions_in(open_image(image)) < 9
+        assert transitions_of(open_image(image)) < 9
         assert Robot(image).error == image_count

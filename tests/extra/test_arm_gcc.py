@@ -17,7 +17,7 @@ from frogkick.planner.plan import (
     PLAN_TIME_WATCHDOG_US,
     PlanConfig,
     config_of,
-    transitions_in,
+    transitions_of,
     transitions_within,
 )
 from frogkick.pool.chip.image import load_image, unwanted
@@ -142,7 +142,7 @@ def test_the_longest_plan_of_arm_gcc_ends_before_the_watchdog(tmp_path: Path, le
     per_transition_us = cycles[0] / 64.0 / rows["transitions"][0]
     print(f"{level}: {per_transition_us:.2f} us with the paper's cost")
     assert rows["transitions"][0] > 500 and per_transition_us > 45.0
-    assert transitions_in(tables) * per_transition_us < WATCHDOG_US
+    assert transitions_of(tables) * per_transition_us < WATCHDOG_US
 
 
 def test_arm_gcc_finds_nothing_with_stricter_warnings(tmp_path: Path) -> None:

@@ -238,7 +238,11 @@ def build_firmware(
     robot: opt.Model = None,
     out: Annotated[Path, "Folder for the results.", opt.With(folder=True)] = Path("firmware-build"),
 ) -> Result:
-    """Build the firmware around a table image. The value stack_bytes is the stack that the image reserves."""
+    """Build the firmware around a table image.
+
+    The value stack_bytes is the stack that the image reserves. Of the target bench, plan_time has how long a
+    decision takes the chip: the worst of some states, and a bound for all.
+    """
     built = fk.build_firmware(fk.load_table(tables, robot), target.value, out)
     return Result(built.as_json())
 

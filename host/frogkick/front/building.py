@@ -10,6 +10,7 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from frogkick.core.progress import Progress, shown, tell_line
 from frogkick.front.places import built_firmware
 from frogkick.front.tables import Table, load_table
 from frogkick.paths import SHAPES, shape
-from frogkick.planner.plan import PlanConfig, config_of
+from frogkick.planner.plan import SEARCH_MOST_US, Cost, PlanConfig, config_of, on_robot
 from frogkick.robot import Robot, load_robot
 from frogkick.tables.image import Tables, open_image, read_image
 from frogkick_codegen.emit import NOT_PLANNER, DepthTime, Figures, build_planner, emit
@@ -37,6 +38,8 @@ __all__ = ["Firmware", "build_firmware", "emit_c", "flash_firmware", "try_firmwa
 
 STATES: Mapping[int, int] = {1: 60, 2: 30, 3: 12}
 """Depth -> number of timed states; this takes seconds, ``frogkick study chip`` takes minutes."""
+HALF_WORN = (16384,)
+"""The share of its contribution that each limb has lost, of 32767: decisions with worn limbs take longest."""
 _TYPES = ("fk_tables_t", "fk_path_t", "fk_plan_config_t", "fk_state_t", "fk_plan_t")
 _FUNCTIONS = ("fk_plan", "fk_tables_open")
 
@@ -53,16 +56,44 @@ def build_firmware(
         out: folder for the files; None: a temporary one, which is deleted with the object.
 
     Raises:
-        InputError: an unknown target, invalid limits of the guard, or an image that does not fit.
+        InputError: an unknown target, invalid limits of the guard, an image that does not fit, or decisions
+            that may take the chip longer than its watchdog waits.
         ToolchainError: no compiler here; the text says what to install.
     """
     table = load_table(table)
     place = Path(tempfile.mkdtemp(prefix="frogkick-firmware-")) if out is None else Path(out)
     with table.file() as image:
-        made = build(target, image, table.robot, place)
+        made = build(target, image, table.robot, place, timed=partial(_plan_time, table))
     if out is None:
         weakref.finalize(made, shutil.rmtree, place, ignore_errors=True)
     return made
+
+
+def _plan_time(table: Table, elf: Path, sources: Path) -> dict[str, Any]:
+    """How long a bench image plans: ``plan_time`` of the command ``firmware build``.
+
+    Raises InputError where a decision may take longer than the watchdog allows.
+    """
+    # These cannot be loaded without the extra.
+    from frogkick.front.plan_time import PlanBound, shape_of
+    from frogkick.runs.chip_check import ChipPlanner
+
+    bound = PlanBound(elf, sources)
+    turn_us = bound.require_in_time(table.tables)
+    config = on_robot(config_of(table.robot.planner), table.tables)
+    planner, states = ChipPlanner(elf), {config.depth: STATES.get(config.depth, min(STATES.values()))}
+    planner.wear(HALF_WORN)
+    sampled = _times(planner, table.tables, config, states, lambda _done, _all: None)[config.depth]
+    bound_us = bound.plan_us(shape_of(table.tables), config.depth, Cost(config.cost), config.transitions_max)
+    return {
+        "depth": config.depth,
+        "transitions_max": config.transitions_max,
+        "sampled_states": sampled.states,
+        "sampled_ms": round(sampled.worst_ms, 3),
+        "bound_ms": round(1e-3 * bound_us, 3),
+        "any_bound_ms": round(1e-3 * turn_us, 3),
+        "any_limit_ms": 1e-3 * SEARCH_MOST_US,
+    }
 
 
 @typed

@@ -33,6 +33,12 @@ from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.effects.registry import own_code
 from frogkick.library import RECORD_S, Library, library_info, wear
 from frogkick.library.fitting import SAMPLING, SEED, STATES
+from frogkick.planner.plan import (
+    PLAN_TIME_WATCHDOG_US,
+    look_up_most_ns,
+    transitions_of,
+    transitions_within,
+)
 from frogkick.report.style import page_of
 from frogkick.robot import Robot, built_in_robots, load_robot, parse_robot
 from frogkick.tables.image import Tables, open_image, read_image
@@ -136,6 +142,8 @@ def facts_of(tables: Tables) -> dict[str, Any]:
         "provenance": tables.provenance.hex(),
         "wear": {"knots": tables.limb_wear.shape[1], "bytes": 2 * tables.limb_wear.size},
         "limb_use": {"decay": tables.use_decay / 2**15, "gain": tables.use_gain / 2**15},
+        "look_up_bound_ms": look_up_most_ns(len(tables.states), tables.tree_levels) * 1e-6,
+        "transitions_max": min(transitions_within(PLAN_TIME_WATCHDOG_US), transitions_of(tables)),
     }
 
 

@@ -20,16 +20,20 @@ from frogkick.planner import costs, kernel
 from frogkick.planner.kernel import PLAN_ROW
 from frogkick.planner.lookup import arrays_of
 from frogkick.tables.image import Tables
-from frogkick.tables.layout import LIMBS_MAX
+from frogkick.tables.layout import LIMBS_MAX, STATES_MAX, first_rows, tree_levels_for
 
 PLAN_FIXED_US = 600
 TRANSITION_NS = 26000
 """Time of a decision on the chip: a fixed part, and at most so much for each transition (fk_robot.c)."""
 PLAN_TIME_WATCHDOG_US = 600_000
 """Limit of the search time in the firmware (fk_robot_state.h)."""
-_SEARCH_MOST_US, _TRANSITION_MOST_NS, _LEAF_MOST_NS, _STATE_MOST_NS = 925_000, 63_000, 3_400, 670
+SEARCH_MOST_US = 925_000
+"""What any search on the chip ends within, with all other look-ups of its turn (fk_fit.h)."""
+_SEARCH_FIXED_US, _TRANSITION_MOST_NS, _NODE_MOST_NS = 2_000, 68_000, 39_500
+_LEAF_MOST_NS, _PAIR_MOST_NS = 2_380, 1_380
 _LOOK_UPS_BESIDE, _LOOK_UPS_WITHIN_US, _LOOK_UPS_WITHIN_MAX = 25, 500_000, 8
 """What holds on the chip whatever the table: see fk_fit.h."""
+_STATES_STEP = 256
 
 STATUS_TEXT = {
     kernel.ERROR_NOT_FINITE: "the state holds NaN or infinity: check the position fixes",
@@ -130,23 +134,49 @@ def transitions_within(plan_us: int) -> int:
     return max(1, max(0, plan_us - PLAN_FIXED_US) * 1000 // TRANSITION_NS)
 
 
-def look_up_most_ns(tables: Tables) -> int:
-    """The longest time of a look-up on the chip: where it visits every leaf and state of the search tree."""
-    return (_LEAF_MOST_NS << tables.tree_levels) + _STATE_MOST_NS * len(tables.states)
+def pairs_of_rows(states: int, tree_levels: int) -> int:
+    """Pairs of rows that a look-up reads where it visits every leaf of the search tree: nearest.c."""
+    first = first_rows(states, tree_levels)
+    return int(((first[1:] - (first[:-1] & ~1) + 1) // 2).sum())
 
 
-def transitions_in(tables: Tables) -> int:
-    """Transitions after which any search in a table has ended on the robot before its watchdog resets it: the
-    twin of fk_fit_transitions(). Below the number of actions the robot refuses the table."""
-    look_up_ns = look_up_most_ns(tables)
-    look_ups = _LOOK_UPS_BESIDE + min(1 + _LOOK_UPS_WITHIN_US // tables.period_us, _LOOK_UPS_WITHIN_MAX)
-    left_us = max(0, _SEARCH_MOST_US - look_up_ns * look_ups // 1000)
-    return left_us * 1000 // (_TRANSITION_MOST_NS + look_up_ns // len(tables.actions))
+def look_up_most_ns(states: int, tree_levels: int) -> int:
+    """The longest time to open a node on the chip: its look-up visits every leaf and state."""
+    return _NODE_MOST_NS + (_LEAF_MOST_NS << tree_levels) + _PAIR_MOST_NS * pairs_of_rows(states, tree_levels)
+
+
+def look_ups_beside(period_us: int) -> int:
+    """Look-ups in a turn of the robot's loop beside those that a search's transitions pay for (fk_fit.h)."""
+    return _LOOK_UPS_BESIDE + min(1 + _LOOK_UPS_WITHIN_US // period_us, _LOOK_UPS_WITHIN_MAX)
+
+
+def transitions_in(states: int, tree_levels: int, actions: int, period_us: int) -> int:
+    """Transitions after which any search in such a table ends on the robot before its watchdog resets it.
+
+    The twin of fk_fit_transitions(). Below the number of actions the robot refuses the table.
+    """
+    look_up_ns = look_up_most_ns(states, tree_levels)
+    taken_us = _SEARCH_FIXED_US + look_up_ns * look_ups_beside(period_us) // 1000
+    return max(0, SEARCH_MOST_US - taken_us) * 1000 // (_TRANSITION_MOST_NS + look_up_ns // actions)
+
+
+def transitions_of(tables: Tables) -> int:
+    """The same of a table."""
+    return transitions_in(len(tables.states), tables.tree_levels, len(tables.actions), tables.period_us)
+
+
+def states_most(actions: int, period_us: int) -> int:
+    """States of the largest table that a packer makes and a robot takes."""
+    fits = [
+        transitions_in(states, tree_levels_for(states), actions, period_us) >= actions
+        for states in range(_STATES_STEP, STATES_MAX + 1, _STATES_STEP)
+    ]
+    return _STATES_STEP * (fits.index(False) if False in fits else len(fits))
 
 
 def on_robot(config: PlanConfig, tables: Tables) -> PlanConfig:
     """The configuration with the limit of transitions that a robot with this table decides by."""
-    most = max(1, min(transitions_within(PLAN_TIME_WATCHDOG_US), transitions_in(tables)))
+    most = max(1, min(transitions_within(PLAN_TIME_WATCHDOG_US), transitions_of(tables)))
     return replace(config, transitions_max=min(config.transitions_max or most, most))
 
 

@@ -159,7 +159,8 @@ class Decoded:
     second: bool  # a single load or store that may follow
 
 
-def _decoded(instruction: Any) -> Decoded:
+def decoded(instruction: Any) -> Decoded:
+    """What the count takes of a capstone instruction (with details)."""
     name = _stem(instruction.mnemonic)
     read, written = instruction.regs_access()
     memory = _memory(instruction)
@@ -195,7 +196,7 @@ def _run(code: bytes) -> tuple[Decoded, ...]:
     found: list[Decoded] = []
     in_it = 0
     for instruction in disassembler().disasm(code, 0, 64):
-        found.append(_decoded(instruction))
+        found.append(decoded(instruction))
         in_it = in_it - 1 if in_it else found[-1].guarded
         if not in_it and found[-1].jumps:
             break

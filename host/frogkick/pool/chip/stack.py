@@ -68,7 +68,7 @@ class StackAnalysis:
 
     def bound(self, function: str = "fk_reset") -> StackBound:
         """The bound of the stack of a function and all that it calls."""
-        entry = self._entry(function)
+        entry = self.entry(function)
         known: dict[int, _Deepest] = {}
         total, chain = self._deepest(entry, known, [])
         indirect = sorted(
@@ -80,18 +80,23 @@ class StackAnalysis:
 
     def own_bytes(self, function: str) -> int:
         """The largest stack of a function without the functions that it calls."""
-        return self._frame(self._entry(function)).deepest
+        return self._frame(self.entry(function)).deepest
 
     @property
     def functions(self) -> list[str]:
         """Names of all functions."""
         return sorted(self._names.values())
 
-    def _entry(self, function: str) -> int:
+    def entry(self, function: str) -> int:
+        """Address of a function."""
         for address, name in self._names.items():
             if name == function:
                 return address
         raise ChipError(f"the firmware has no function {function!r}: build it unstripped")
+
+    def name_at(self, entry: int) -> str:
+        """Name of the function that begins at an address."""
+        return self._names.get(entry, hex(entry))
 
     def _deepest(self, entry: int, known: dict[int, _Deepest], active: list[int]) -> _Deepest:
         if entry in known:
@@ -119,7 +124,8 @@ class StackAnalysis:
         place = bisect.bisect_right(self._marks, (address, True)) - 1
         return place < 0 or self._marks[place][1]
 
-    def _instructions(self, entry: int) -> dict[int, Any]:
+    def instructions(self, entry: int) -> dict[int, Any]:
+        """The instructions of a function by their addresses."""
         found: dict[int, Any] = {}
         address, end = entry, entry + self._sizes[entry]
         while address < end:
@@ -143,7 +149,7 @@ class StackAnalysis:
             return self._frames[entry]
         if entry not in self._sizes:
             raise ChipError(f"a call to 0x{entry:08x}, where no function begins: no bound of the stack")
-        code = self._instructions(entry)
+        code = self.instructions(entry)
         depths: dict[int, int] = {}
         calls: set[tuple[int, int | None]] = set()
         waiting = [(entry, 0)]
@@ -160,7 +166,7 @@ class StackAnalysis:
             if one.cc not in _ALWAYS:
                 after = max(after, depth)
             deepest = max(deepest, depth, after)
-            waiting += [(follower, after) for follower in self._followers(one, entry, after, calls, code)]
+            waiting += [(follower, after) for follower in self.followers(one, entry, after, calls, code)]
         frame = _Frame(deepest, tuple(sorted(calls, key=str)))
         self._frames[entry] = frame
         return frame
@@ -188,7 +194,7 @@ class StackAnalysis:
             f"0x{one.address:08x}): no bound of the stack"
         )
 
-    def _followers(
+    def followers(
         self, one: Any, entry: int, depth: int, calls: set[tuple[int, int | None]], code: dict[int, Any]
     ) -> Iterator[int]:
         """Yield the possible next instructions of this function, and add calls."""

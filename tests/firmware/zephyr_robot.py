@@ -54,7 +54,7 @@ def play(made: Path, folder: Path, options: list[str]) -> Path:
     sources += [file for file in sorted((made / "emitted").glob("*.c")) if "example" not in file.name]
     includes = [folder / "include", DECLARED, ROBOT / "src", ROBOT.parent / "core", made, made / "emitted"]
     # Without optimising zig would compile its own run-time library anew, which takes longer than all of this.
-    flags = ["-std=gnu11", "-O1", "-fPIC", "-shared", "-Wall", "-Werror", "-Dmain=fk_zephyr_main"]
+    flags = ["-std=gnu2x", "-O1", "-fPIC", "-shared", "-Wall", "-Werror", "-Dmain=fk_zephyr_main"]
     flags += [
         "-ffp-contract=off",
         "-fno-math-errno",
@@ -80,7 +80,7 @@ class ZephyrRobot:
         """
         number = len(list(folder.glob("life*.so")))
         self.stage = ctypes.CDLL(str(shutil.copy(library, folder / f"life{number}.so")))
-        self.stage.play_watchdog_us.restype = self.stage.play_crystal_held_us.restype = ctypes.c_uint64
+        self.stage.play_watchdog_us.restype = ctypes.c_uint64
         self._room, self._edges = ctypes.create_string_buffer(_ROOM), (_Edge * 4096)()
         self._collector = FrameCollector()
         self.now_us = 0

@@ -75,7 +75,6 @@ k_timeout_t declared_usec(uint64_t microseconds);
 #define K_MSEC(t) declared_usec(1000u * (t))
 #define K_FOREVER declared_usec(UINT64_MAX)
 int32_t k_sleep(k_timeout_t timeout);
-void k_busy_wait(uint32_t usec_to_wait);
 struct declared_thread {
     void (*entry)(void *, void *, void *);
     int priority;

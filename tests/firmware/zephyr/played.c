@@ -7,8 +7,8 @@
 #include <pthread.h>
 #include <string.h>
 
-#include "played.h"
 #include "crypto.h"
+#include "played.h"
 
 #define THREADS 2 /* 0: main, of Zephyr's default priority 0; 1: the one that the application defines */
 #define TICKS_PER_S 32768u
@@ -31,7 +31,7 @@ typedef struct {
 static pthread_mutex_t baton = PTHREAD_MUTEX_INITIALIZER;
 static pthread_cond_t passed = PTHREAD_COND_INITIALIZER;
 static player_t players[THREADS];
-int on_stage = -1; /* -1: the test */
+static int on_stage = -1; /* -1: the test */
 uint64_t now_us;
 static int switches;
 
@@ -123,14 +123,9 @@ void played_spend(uint64_t us)
     now_us = until_us;
 }
 static uint64_t interrupt_us; /* that an interrupt takes which has waited for irq_unlock() */
-void play_interrupt(uint64_t us);
 void play_interrupt(uint64_t us) { interrupt_us = us; }
 unsigned int irq_lock(void) { return 0; }
-void irq_unlock(unsigned int key)
-{
-    (void)key;
-    played_spend(interrupt_us);
-}
+void irq_unlock(unsigned int) { played_spend(interrupt_us); }
 bool atomic_cas(atomic_t *target, atomic_val_t old_value, atomic_val_t new_value)
 {
     const bool equal = *target == old_value;
@@ -173,38 +168,27 @@ uint32_t ring_buf_get(struct ring_buf *buf, uint8_t *data, uint32_t size)
 
 static uint64_t fed_us;
 static uint64_t fed_gap_us; /* the longest time between two feeds */
-int wdt_install_timeout(const struct device *dev, const struct wdt_timeout_cfg *cfg)
+int wdt_install_timeout(const struct device *, const struct wdt_timeout_cfg *) { return 0; }
+int wdt_setup(const struct device *, uint8_t)
 {
-    (void)dev;
-    (void)cfg;
-    return 0;
-}
-int wdt_setup(const struct device *dev, uint8_t options)
-{
-    (void)dev;
-    (void)options;
     fed_us = now_us;
     return 0;
 }
 static uint64_t gap_us(void) { return (now_us - fed_us > fed_gap_us) ? now_us - fed_us : fed_gap_us; }
-int wdt_feed(const struct device *dev, int channel_id)
+int wdt_feed(const struct device *, int)
 {
-    (void)dev;
-    (void)channel_id;
     fed_gap_us = gap_us();
     fed_us = now_us;
     return 0;
 }
 uint8_t declared_flash[0x32000] __attribute__((aligned(4096)));
-int flash_erase(const struct device *dev, off_t offset, size_t size)
+int flash_erase(const struct device *, off_t offset, size_t size)
 {
-    (void)dev;
     memset((void *)(uintptr_t)offset, 0xFF, size);
     return 0;
 }
-int flash_write(const struct device *dev, off_t offset, const void *data, size_t len)
+int flash_write(const struct device *, off_t offset, const void *data, size_t len)
 {
-    (void)dev;
     for (size_t i = 0; i < len; ++i) {
         ((uint8_t *)(uintptr_t)offset)[i] &= ((const uint8_t *)data)[i];
     }
@@ -222,7 +206,6 @@ int hwinfo_get_reset_cause(uint32_t *cause)
     *cause = reset_cause;
     return 0;
 }
-void play_reset_cause(uint32_t cause);
 void play_reset_cause(uint32_t cause) { reset_cause = cause; }
 int bt_rand(void *buf, size_t len)
 {
@@ -237,38 +220,28 @@ int hwinfo_clear_reset_cause(void) { return 0; }
 
 static uint64_t least(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
 
-void play_begin(void);
-int play_until(uint64_t until_us);
-uint64_t play_watchdog_us(void);
-
-static void *play_main(void *nothing)
+static void *play_thread(void *player)
 {
+    const int me = (int)((player_t *)player - players);
     pthread_mutex_lock(&baton);
-    while (on_stage != 0) {
+    while (on_stage != me) {
         pthread_cond_wait(&passed, &baton);
     }
-    (void)fk_zephyr_main();
-    (void)wait_for(NULL, NEVER);
-    return nothing;
-}
-
-static void *play_other(void *nothing)
-{
-    pthread_mutex_lock(&baton);
-    while (on_stage != 1) {
-        pthread_cond_wait(&passed, &baton);
+    if (me == 0) {
+        (void)fk_zephyr_main();
+    } else {
+        declared_thread.entry(NULL, NULL, NULL);
     }
-    declared_thread.entry(NULL, NULL, NULL);
     (void)wait_for(NULL, NEVER);
-    return nothing;
+    return NULL;
 }
-
 
 void play_begin(void)
 {
     memset(declared_flash, 0xFF, sizeof(declared_flash));
-    (void)pthread_create(&players[0].thread, NULL, play_main, NULL);
-    (void)pthread_create(&players[1].thread, NULL, play_other, NULL);
+    for (int i = 0; i < THREADS; ++i) {
+        (void)pthread_create(&players[i].thread, NULL, play_thread, &players[i]);
+    }
 }
 
 /* @return 0, or 1 where threads go on for ever without time going on */

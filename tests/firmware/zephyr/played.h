@@ -7,7 +7,6 @@
 #define NEVER UINT64_MAX
 
 extern uint64_t now_us;
-extern int on_stage; /* which thread plays */
 
 /* @return 1 where the semaphore was given, 0 where the time was over */
 int wait_for(struct k_sem *sem, uint64_t until_us);

@@ -6,55 +6,41 @@
 
 #define EDGES_MAX 4096
 
-/* The crystal. Whoever asks holds it until he gives it back; without it the timer is slow. */
+/* The crystal: whoever asks holds it until he gives it back. */
 
-#define HFINT_PERCENT 108u
 struct onoff_manager {
     int users;
 };
 static struct onoff_manager crystal;
 static uint64_t crystal_takes_us = 1500; /* NEVER: it does not start */
 static uint64_t crystal_runs_us = NEVER;
-static uint64_t held_from_us = NEVER;
-static int releases_without_request;
 
 void sys_notify_init_spinwait(struct sys_notify *notify) { notify->state = 1; }
-int sys_notify_fetch_result(const struct sys_notify *notify, int *result)
+int sys_notify_fetch_result(const struct sys_notify *, int *result)
 {
-    (void)notify;
     if (now_us < crystal_runs_us) {
         return -EAGAIN;
     }
     *result = 0;
     return 0;
 }
-struct onoff_manager *z_nrf_clock_control_get_onoff(clock_control_subsys_t sys)
+struct onoff_manager *z_nrf_clock_control_get_onoff(clock_control_subsys_t) { return &crystal; }
+int onoff_request(struct onoff_manager *mgr, struct onoff_client *)
 {
-    (void)sys;
-    return &crystal;
-}
-int onoff_request(struct onoff_manager *mgr, struct onoff_client *cli)
-{
-    (void)cli;
     if (mgr->users++ == 0) {
         crystal_runs_us = (crystal_takes_us == NEVER) ? NEVER : now_us + crystal_takes_us;
-        held_from_us = now_us;
     }
     return 0;
 }
-int onoff_cancel_or_release(struct onoff_manager *mgr, struct onoff_client *cli)
+int onoff_cancel_or_release(struct onoff_manager *mgr, struct onoff_client *)
 {
-    (void)cli;
-    releases_without_request += mgr->users == 0;
     if (--mgr->users == 0) {
         crystal_runs_us = NEVER;
     }
     return 0;
 }
-bool nrf_clock_is_running(const NRF_CLOCK_Type *p_reg, nrf_clock_domain_t domain, void *p_clk_src)
+bool nrf_clock_is_running(const NRF_CLOCK_Type *, nrf_clock_domain_t, void *p_clk_src)
 {
-    (void)p_reg;
-    (void)domain;
     *(nrf_clock_hfclk_t *)p_clk_src =
         (now_us >= crystal_runs_us) ? NRF_CLOCK_HFCLK_HIGH_ACCURACY : NRF_CLOCK_HFCLK_LOW_ACCURACY;
     return true;
@@ -66,10 +52,8 @@ static int supply_is_low;
 static nrfx_power_pofwarn_config_t warns;
 
 void nrfx_power_pof_init(const nrfx_power_pofwarn_config_t *p_config) { warns = *p_config; }
-void nrf_power_pofcon_set(NRF_POWER_Type *p_reg, bool enabled, nrf_power_pof_thr_t thr)
+void nrf_power_pofcon_set(NRF_POWER_Type *, bool enabled, nrf_power_pof_thr_t)
 {
-    (void)p_reg;
-    (void)thr;
     if (enabled && supply_is_low) {
         warns.handler();
     }
@@ -78,14 +62,11 @@ void nrfx_power_pof_enable(const nrfx_power_pofwarn_config_t *p_config)
 {
     nrf_power_pofcon_set(NRF_POWER, true, p_config->thr);
 }
-void play_supply(int is_low);
 void play_supply(int is_low)
 {
     supply_is_low = is_low;
     nrf_power_pofcon_set(NRF_POWER, true, warns.thr);
 }
-
-static int asserts; /* that nrfx would have raised */
 
 /* The converter: a battery at each of its channels, in millivolts at the pin */
 
@@ -94,50 +75,27 @@ static int asserts; /* that nrfx would have raised */
 static int battery_mv[8];
 static uint32_t battery_channels;
 static int16_t *battery_results; /* halfwords, as the chip writes them */
-static int converter_is_on;
-static int converter_is_started;
+static int converter_is_started; /* since when it has a buffer for the next readings */
 static uint64_t converted_us = NEVER;
 
-void nrf_saadc_channel_init(NRF_SAADC_Type *p_reg, uint8_t channel, const nrf_saadc_channel_config_t *config)
+void nrf_saadc_channel_init(NRF_SAADC_Type *, uint8_t, const nrf_saadc_channel_config_t *) {}
+void nrf_saadc_channel_input_set(NRF_SAADC_Type *, uint8_t channel, nrf_saadc_input_t, nrf_saadc_input_t)
 {
-    (void)p_reg;
-    asserts += channel != battery_channels || config->acq_time != NRF_SAADC_ACQTIME_40US;
+    battery_channels = channel + 1u;
 }
-void nrf_saadc_channel_input_set(NRF_SAADC_Type *p_reg, uint8_t channel, nrf_saadc_input_t pselp, nrf_saadc_input_t pseln)
+void nrf_saadc_resolution_set(NRF_SAADC_Type *, nrf_saadc_resolution_t) {}
+void nrf_saadc_buffer_init(NRF_SAADC_Type *, nrf_saadc_value_t *p_buffer, uint32_t) { battery_results = p_buffer; }
+void nrf_saadc_enable(NRF_SAADC_Type *) {}
+void nrf_saadc_task_trigger(NRF_SAADC_Type *, nrf_saadc_task_t task)
 {
-    (void)p_reg;
-    asserts += channel != battery_channels++ || pselp == NRF_SAADC_INPUT_DISABLED || pseln != NRF_SAADC_INPUT_DISABLED;
-}
-void nrf_saadc_resolution_set(NRF_SAADC_Type *p_reg, nrf_saadc_resolution_t resolution)
-{
-    (void)p_reg;
-    (void)resolution;
-}
-void nrf_saadc_buffer_init(NRF_SAADC_Type *p_reg, nrf_saadc_value_t *p_buffer, uint32_t size)
-{
-    (void)p_reg;
-    asserts += size != battery_channels;
-    battery_results = p_buffer;
-}
-void nrf_saadc_enable(NRF_SAADC_Type *p_reg)
-{
-    (void)p_reg;
-    converter_is_on = 1;
-}
-void nrf_saadc_task_trigger(NRF_SAADC_Type *p_reg, nrf_saadc_task_t task)
-{
-    (void)p_reg;
-    asserts += !converter_is_on || (task == NRF_SAADC_TASK_SAMPLE && !converter_is_started);
     if (task == NRF_SAADC_TASK_START) {
         converter_is_started = 1;
-    } else {
+    } else if (converter_is_started) {
         converted_us = now_us + CONVERSION_US * battery_channels;
     }
 }
-bool nrf_saadc_event_check(const NRF_SAADC_Type *p_reg, nrf_saadc_event_t event)
+bool nrf_saadc_event_check(const NRF_SAADC_Type *, nrf_saadc_event_t)
 {
-    (void)p_reg;
-    (void)event;
     if (now_us < converted_us) {
         return false;
     }
@@ -146,18 +104,12 @@ bool nrf_saadc_event_check(const NRF_SAADC_Type *p_reg, nrf_saadc_event_t event)
     }
     return true;
 }
-void nrf_saadc_event_clear(NRF_SAADC_Type *p_reg, nrf_saadc_event_t event)
+void nrf_saadc_event_clear(NRF_SAADC_Type *, nrf_saadc_event_t)
 {
-    (void)p_reg;
-    (void)event;
     converted_us = NEVER;
     converter_is_started = 0;
 }
-void play_battery(uint32_t channel, int pin_mv);
-void play_battery(uint32_t channel, int pin_mv)
-{
-    battery_mv[channel] = pin_mv;
-}
+void play_battery(uint32_t channel, int pin_mv) { battery_mv[channel] = pin_mv; }
 
 /* The timer, PPI and the gates */
 
@@ -183,8 +135,8 @@ static edge_t edges[EDGES_MAX];
 static uint32_t edge_count;
 static uint32_t compare[4];
 static uint64_t timer_us = NEVER; /* when the timer was 0 */
-static uint32_t timer_percent;
 static int timer_enabled;
+static int asserts; /* that nrfx would have raised */
 static nrfx_timer_event_handler_t on_timer;
 
 static void drive(uint32_t pin, uint32_t level)
@@ -213,109 +165,55 @@ static void timer_compares(uint32_t channel)
         on_timer(NRF_TIMER_EVENT_COMPARE0, NULL);
     }
 }
-void declared_connect(unsigned int line, unsigned int priority, void (*routine)(const void *),
-                      void (*parameter)(void), uint32_t flags)
-{
-    (void)line;
-    (void)priority;
-    (void)routine;
-    (void)parameter;
-    (void)flags;
-}
-void nrfx_isr(const void *irq_handler) { (void)irq_handler; }
+void declared_connect(unsigned int, unsigned int, void (*)(const void *), void (*)(void), uint32_t) {}
+void nrfx_isr(const void *) {}
 void nrfx_timer_2_irq_handler(void) {}
-bool nrfx_gpiote_init_check(const nrfx_gpiote_t *instance)
+bool nrfx_gpiote_init_check(const nrfx_gpiote_t *) { return false; }
+nrfx_err_t nrfx_gpiote_init(const nrfx_gpiote_t *, uint8_t) { return NRFX_SUCCESS; }
+nrfx_err_t nrfx_gpiote_channel_alloc(const nrfx_gpiote_t *, uint8_t *channel)
 {
-    (void)instance;
-    return false;
-}
-nrfx_err_t nrfx_gpiote_init(const nrfx_gpiote_t *instance, uint8_t interrupt_priority)
-{
-    (void)instance;
-    (void)interrupt_priority;
-    return NRFX_SUCCESS;
-}
-nrfx_err_t nrfx_gpiote_channel_alloc(const nrfx_gpiote_t *instance, uint8_t *channel)
-{
-    (void)instance;
     *channel = gpiote_used++;
     return NRFX_SUCCESS;
 }
-nrfx_err_t nrfx_gpiote_output_configure(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin,
-                                        const nrfx_gpiote_output_config_t *config,
-                                        const nrfx_gpiote_task_config_t *task_config)
+nrfx_err_t nrfx_gpiote_output_configure(const nrfx_gpiote_t *, nrfx_gpiote_pin_t, const nrfx_gpiote_output_config_t *,
+                                        const nrfx_gpiote_task_config_t *)
 {
-    (void)instance;
-    (void)pin;
-    (void)config;
-    (void)task_config;
     return NRFX_SUCCESS;
 }
-void nrfx_gpiote_out_task_enable(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
+void nrfx_gpiote_out_task_enable(const nrfx_gpiote_t *, nrfx_gpiote_pin_t) {}
+void nrfx_gpiote_clr_task_trigger(const nrfx_gpiote_t *, nrfx_gpiote_pin_t pin) { drive(pin, 0); }
+uint32_t nrfx_gpiote_clr_task_address_get(const nrfx_gpiote_t *, nrfx_gpiote_pin_t pin) { return TASK_CLR(pin); }
+uint32_t nrfx_gpiote_set_task_address_get(const nrfx_gpiote_t *, nrfx_gpiote_pin_t pin) { return TASK_SET(pin); }
+nrfx_err_t nrfx_timer_init(const nrfx_timer_t *, const nrfx_timer_config_t *, nrfx_timer_event_handler_t handler)
 {
-    (void)instance;
-    (void)pin;
-}
-void nrfx_gpiote_clr_task_trigger(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
-{
-    (void)instance;
-    drive(pin, 0);
-}
-uint32_t nrfx_gpiote_clr_task_address_get(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
-{
-    (void)instance;
-    return TASK_CLR(pin);
-}
-uint32_t nrfx_gpiote_set_task_address_get(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
-{
-    (void)instance;
-    return TASK_SET(pin);
-}
-nrfx_err_t nrfx_timer_init(const nrfx_timer_t *instance, const nrfx_timer_config_t *config,
-                           nrfx_timer_event_handler_t handler)
-{
-    (void)instance;
-    (void)config;
     on_timer = handler;
     return NRFX_SUCCESS;
 }
 static uint64_t halt_us; /* for which a debugger halts the processor before a timer is enabled */
-void play_halt(uint64_t us);
 void play_halt(uint64_t us) { halt_us = us; }
-void nrfx_timer_enable(const nrfx_timer_t *instance)
+void nrfx_timer_enable(const nrfx_timer_t *)
 {
-    (void)instance;
     played_spend(halt_us);
     asserts += timer_enabled;
     timer_enabled = 1;
     timer_us = now_us;
-    timer_percent = (now_us >= crystal_runs_us) ? 100u : HFINT_PERCENT;
 }
-void nrfx_timer_disable(const nrfx_timer_t *instance)
+void nrfx_timer_disable(const nrfx_timer_t *)
 {
-    (void)instance;
     timer_enabled = 0;
     timer_us = NEVER;
 }
-void nrfx_timer_clear(const nrfx_timer_t *instance) { (void)instance; }
-void nrfx_timer_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
-                        bool enable_int)
+void nrfx_timer_clear(const nrfx_timer_t *) {}
+void nrfx_timer_compare(const nrfx_timer_t *, nrf_timer_cc_channel_t channel, uint32_t value, bool)
 {
-    (void)instance;
-    (void)enable_int;
     compare[channel] = value;
 }
-void nrfx_timer_extended_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
-                                 nrf_timer_short_mask_t shorts, bool enable_int)
+void nrfx_timer_extended_compare(const nrfx_timer_t *, nrf_timer_cc_channel_t channel, uint32_t value,
+                                 nrf_timer_short_mask_t, bool)
 {
-    (void)shorts;
-    nrfx_timer_compare(instance, channel, value, enable_int);
+    compare[channel] = value;
 }
-uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *instance, uint32_t channel)
-{
-    (void)instance;
-    return EVENT_ADDRESS(channel);
-}
+uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *, uint32_t channel) { return EVENT_ADDRESS(channel); }
 nrfx_err_t nrfx_gppi_channel_alloc(uint8_t *channel)
 {
     /* The controller of Bluetooth has 6 to 13 and those that are wired by the silicon. */
@@ -343,16 +241,9 @@ static void switch_channels(uint32_t mask, int enabled)
 void nrfx_gppi_channels_enable(uint32_t mask) { switch_channels(mask, 1); }
 void nrfx_gppi_channels_disable(uint32_t mask) { switch_channels(mask, 0); }
 
-uint32_t play_edges(edge_t *to);
-int play_asserts(void);
-void play_crystal(uint64_t takes_us);
-int play_crystal_users(void);
-uint64_t play_crystal_held_us(void);
-void play_break_crystal(void);
-
 static uint64_t compare_us(uint32_t channel)
 {
-    const uint64_t at_us = (timer_us == NEVER) ? NEVER : timer_us + (uint64_t)compare[channel] * timer_percent / 100u;
+    const uint64_t at_us = (timer_us == NEVER) ? NEVER : timer_us + compare[channel];
     return (at_us > now_us || at_us == NEVER) ? at_us : NEVER;
 }
 
@@ -367,7 +258,7 @@ void played_gates_event(void)
     /* Where the timer was before: COMPARE0 clears it. */
     const uint64_t zero_us = timer_us;
     for (uint32_t channel = 2; channel-- > 0 && zero_us != NEVER;) {
-        if (zero_us + (uint64_t)compare[channel] * timer_percent / 100u == now_us) {
+        if (zero_us + compare[channel] == now_us) {
             timer_compares(channel);
         }
     }
@@ -383,5 +274,4 @@ uint32_t play_edges(edge_t *to)
 int play_asserts(void) { return asserts; }
 void play_crystal(uint64_t takes_us) { crystal_takes_us = takes_us; }
 void play_break_crystal(void) { crystal_runs_us = NEVER; }
-int play_crystal_users(void) { return crystal.users + 100 * releases_without_request; }
-uint64_t play_crystal_held_us(void) { return held_from_us; }
+int play_crystal_users(void) { return crystal.users; }

@@ -9,18 +9,8 @@
 #define BUFFERS_MAX 16
 #define SENT_MAX 65536
 
-void play_connect(int subscribed);
-void play_disconnect(void);
-void play_fade(int faded);
-void play_mtu(uint32_t bytes);
-void play_refuse(int error, int after);
-void play_write(const uint8_t *bytes, uint32_t length);
-uint32_t play_sent(uint8_t *bytes);
-int play_notified_by(void);
-int play_pair(int right);
-
 struct bt_conn {
-    int references;
+    int nothing;
 };
 static struct bt_conn the_conn;
 static uint32_t bonds;
@@ -40,22 +30,11 @@ static uint8_t sent[SENT_MAX];
 static uint32_t sent_bytes;
 static uint8_t in_air[BUFFERS_MAX][256];
 static uint32_t in_air_bytes[BUFFERS_MAX];
-static int notified_by = -1;
 static struct k_sem buffer_free;
 
-int bt_enable(void (*ready)(int err))
+int bt_enable(void (*)(int err)) { return 0; }
+int bt_le_adv_start(const struct bt_le_adv_param *, const struct bt_data *, size_t, const struct bt_data *, size_t)
 {
-    (void)ready;
-    return 0;
-}
-int bt_le_adv_start(const struct bt_le_adv_param *param, const struct bt_data *ad, size_t ad_len,
-                    const struct bt_data *sd, size_t sd_len)
-{
-    (void)param;
-    (void)ad;
-    (void)ad_len;
-    (void)sd;
-    (void)sd_len;
     return 0;
 }
 void bt_foreach_bond(uint8_t id, void (*func)(const struct bt_bond_info *info, void *user_data), void *user_data)
@@ -66,21 +45,15 @@ void bt_foreach_bond(uint8_t id, void (*func)(const struct bt_bond_info *info, v
         func(&bond, user_data);
     }
 }
-int bt_conn_get_info(const struct bt_conn *conn, struct bt_conn_info *info)
+int bt_conn_get_info(const struct bt_conn *, struct bt_conn_info *info)
 {
-    (void)conn;
     info->state = is_connected ? BT_CONN_STATE_CONNECTED : BT_CONN_STATE_DISCONNECTED;
     return 0;
 }
-struct bt_conn *bt_conn_ref(struct bt_conn *conn)
+struct bt_conn *bt_conn_ref(struct bt_conn *conn) { return conn; }
+void bt_conn_unref(struct bt_conn *) {}
+void bt_conn_foreach(enum bt_conn_type, void (*func)(struct bt_conn *conn, void *data), void *data)
 {
-    ++conn->references;
-    return conn;
-}
-void bt_conn_unref(struct bt_conn *conn) { --conn->references; }
-void bt_conn_foreach(enum bt_conn_type type, void (*func)(struct bt_conn *conn, void *data), void *data)
-{
-    (void)type;
     if (is_connected) {
         func(&the_conn, data);
     }
@@ -110,21 +83,11 @@ int play_pair(int right)
     }
     return 1;
 }
-int bt_passkey_set(unsigned int passkey)
-{
-    (void)passkey;
-    return 0;
-}
-uint16_t bt_gatt_get_mtu(struct bt_conn *conn)
-{
-    (void)conn;
-    return mtu;
-}
+int bt_passkey_set(unsigned int) { return 0; }
+uint16_t bt_gatt_get_mtu(struct bt_conn *) { return mtu; }
 
-int bt_gatt_notify(struct bt_conn *conn, const struct bt_gatt_attr *attr, const void *data, uint16_t len)
+int bt_gatt_notify(struct bt_conn *, const struct bt_gatt_attr *attr, const void *data, uint16_t len)
 {
-    (void)conn;
-    notified_by = on_stage;
     if (attr != declared_attributes + 2 || len > mtu - 3) {
         return -ENOMEM;
     }
@@ -211,4 +174,3 @@ uint32_t play_sent(uint8_t *bytes)
 }
 void play_fade(int faded) { is_faded = faded; }
 void play_mtu(uint32_t bytes) { mtu = (uint16_t)bytes; }
-int play_notified_by(void) { return notified_by; }

@@ -18,9 +18,8 @@ from frogkick.core.files import sole_writer
 from frogkick.front.viewing import run_progress
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, STOPPED, TIME
 from frogkick.runs.decision import LiveCheck
-from frogkick.runs.record import RunOptions
+from frogkick.runs.record import DISARMED, DROPPED, ENDED, STOPPED, TIME, RunOptions
 
 
 def test_progress_comes_with_the_plan_its_cost_and_the_distance() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from tests.core.log_rig import Log
 from tests.link.live_robot import LiveRobot
 
 from frogkick.link.frames import Frame, unpack_frame
@@ -24,6 +26,13 @@ class Clock:
         return self.now_s
 
 
+def _with_log() -> LiveRobot:
+    robot, log = LiveRobot(clock=Clock()), Log()
+    robot.core._log = log  # lives as long
+    robot.core.core.fk_robot_use_log(robot.core.memory, log.memory)
+    return robot
+
+
 @dataclass
 class Inline(Wire):
     """A wire on which frames can get lost.
@@ -35,7 +44,7 @@ class Inline(Wire):
         sent: frames from the host, with their times.
     """
 
-    robot: LiveRobot = field(default_factory=lambda: LiveRobot(clock=Clock()))
+    robot: LiveRobot = field(default_factory=_with_log)
     window: int = 1
     drops: Callable[[Frame], bool] = lambda _frame: False
     sent: list[tuple[float, Frame]] = field(default_factory=list)
@@ -45,6 +54,7 @@ class Inline(Wire):
         self.name = "serial:inline"
         assert isinstance(self.robot.clock, Clock)
         self.clock = self.robot.clock
+        self._up_again_s = math.inf
         self.connected()
 
     def session(self) -> LabSession:
@@ -55,6 +65,11 @@ class Inline(Wire):
         """Names of the frames from the host."""
         return [frame.name for _, frame in self.sent]
 
+    def go_down(self, seconds: float) -> None:
+        """Lose the connection, which comes back after a time."""
+        self.lost()
+        self._up_again_s = self.clock() + seconds
+
     def send(self, encoded: bytes, how: Delivery) -> None:
         self.sent.append((self.clock(), unpack_frame(encoded[:-1])))
         if self.is_up:
@@ -64,6 +79,9 @@ class Inline(Wire):
         until_s = self.clock.now_s + max(timeout_s, 1e-6)  # as any clock moves meanwhile
         while not self._arrived and self._error is None and self.clock.now_s < until_s:
             self.clock.now_s = min(until_s, self.clock.now_s + _STEP_S)
+            if self.clock() >= self._up_again_s:
+                self._up_again_s = math.inf
+                self.connected()
             self._answer(self.robot.tick())
         return super().receive(0.0)
 

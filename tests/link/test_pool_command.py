@@ -26,7 +26,7 @@ from tests.vision.scenes import scene
 
 from frogkick.core.files import write_bytes
 from frogkick.link.auth import read_keys
-from frogkick.runs.closed_loop import DROPPED, TIME
+from frogkick.runs.record import DROPPED, TIME
 from frogkick.runs.runlog_file import read_run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

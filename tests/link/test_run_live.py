@@ -33,11 +33,11 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.runs.closed_loop import DROPPED, ENDED, TIME, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import DecisionTwin, LiveCheck
 from frogkick.runs.lab_session import LabPort, LabSession
 from frogkick.runs.path_change import NextPath
-from frogkick.runs.record import RunOptions
+from frogkick.runs.record import DROPPED, ENDED, TIME, RunOptions
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
 from frogkick.runs.text_robot import DIALECTS, TextRobot, pulse_line

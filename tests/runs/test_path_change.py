@@ -158,6 +158,8 @@ def test_a_log_whose_paths_change_nowhere_is_refused(swum: tuple[Recording, RunL
 class Deaf:
     """A session that records what is posted, and gets no answers."""
 
+    link_s = 0.0
+
     def __init__(self) -> None:
         self.posted: list[int] = []
 

@@ -28,14 +28,14 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import noise_of_run
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, run_session
+from frogkick.runs.closed_loop import run_session
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session
 from frogkick.runs.live_log import logged
 from frogkick.runs.live_view import tree_of
 from frogkick.runs.path_change import NextPath
 from frogkick.runs.pool_fixes import PoolFixes
-from frogkick.runs.record import Recording, made_of
+from frogkick.runs.record import DISARMED, DROPPED, ENDED, UNHEARD, Recording, made_of
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.summary import refused_fixes
@@ -52,6 +52,7 @@ UNFINISHED = {
     "fell behind or ended",
     ENDED["SUPPLY"]: "the robot's supply fell too low: charge all batteries and check the plugs",
     DISARMED: "the robot disarmed itself: 'frogkick log fetch' shows what led to it",
+    UNHEARD: "the robot ended the run, and its reason was lost: see its log ('frogkick log fetch')",
     DROPPED: "the connection was lost and the robot ended the run meanwhile: bring the radio nearer, or "
     "check the cable",
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Protocol
 
@@ -17,7 +17,7 @@ from frogkick.effects import World
 from frogkick.estimator.follow import End
 from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.link.frames import Frame
-from frogkick.link.layout import link_layout
+from frogkick.link.layout import Value, link_layout
 from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
@@ -32,8 +32,9 @@ from frogkick.runs.decision import (
     decision_of_event,
     events_of_frame,
 )
+from frogkick.runs.lost_frames import LATE_S, EventGaps, is_answer_to, why_disarmed, why_ended
 from frogkick.runs.path_change import Holding, PathChanges, PathSender
-from frogkick.runs.record import Recording, RunOptions, SentFix
+from frogkick.runs.record import ENDED, STOPPED, TIME, Recording, RunOptions, SentFix
 from frogkick.runs.session import LinkError, Session
 from frogkick.runs.summary import no_fresh_fix
 from frogkick.tables.image import Tables
@@ -42,19 +43,6 @@ SETTLE_S = 0.6  # time of fixes before the start, so that the first estimate has
 START_DELAY_S = 0.1
 READY_S = 1.0
 """Earliest start of a run: a chip boots later than the core on this computer, and both get the same fixes."""
-
-TIME = "time limit"
-STOPPED = "stopped by hand"
-DISARMED = "the robot disarmed itself"
-DROPPED = "connection lost, and the robot ended the run meanwhile"
-ENDED = {
-    "OK": End.COMPLETED.value,
-    "PASSED": End.PASSED.value,
-    "STALLED": End.STALLED.value,
-    "STALE": "position fixes lost",
-    "SUPPLY": "the robot's supply fell too low: charge it",
-}
-"""Status of an ENDED event -> why the run ended, for people."""
 
 
 class FixSource(Protocol):
@@ -144,9 +132,14 @@ def run_session(
         with session.real_time_guard():
             return run.go()
     except BaseException as error:
-        if run.may_be_armed and not session.make_safe():
-            cause = str(error) or "interrupted"
-            raise LinkError(f"{cause}; the robot did not confirm DISARM: switch it off") from error
+        while run.may_be_armed:
+            try:
+                run.may_be_armed = not session.make_safe()
+            except KeyboardInterrupt:  # again, before it is ignored
+                continue
+            if run.may_be_armed:
+                cause = str(error) or "interrupted"
+                raise LinkError(f"{cause}; the robot did not confirm DISARM: switch it off") from error
         raise
 
 
@@ -197,6 +190,8 @@ class _Run:
     _is_configured: bool = False
     _unanswered: dict[int, int] = field(default_factory=dict)  # sequence of a FIX -> row in recording.fixes
     _late_answers: int = 0
+    _events: EventGaps = field(default_factory=EventGaps)
+    _sign_s: float = 0.0  # ``link_s`` when the robot last gave a sign of what the run is about
     _stopped: bool = False
 
     def __post_init__(self) -> None:
@@ -231,8 +226,10 @@ class _Run:
         except _StopError:
             session.request("STOP")
             self._end(STOPPED)
+        self._stopped = True  # nothing is left to stop
         self.recording.end_s = session.time_s
         session.request("DISARM")
+        self.may_be_armed = False
         self.recording.fixes_refused = int(session.request("STATUS")["fixes_refused"])
         return self.recording
 
@@ -249,17 +246,29 @@ class _Run:
         # Whatever the robot says, it is not later than this.
         latest_s = session.time_s + START_DELAY_S
         limit_s = min(recording.first_decision_s, latest_s) + self.options.time_limit_s
+        self._sign_s = session.link_s
         while session.time_s < limit_s:
             self._run_until(min(session.time_s + 0.05, limit_s))
             path = self._path_due()
             if path is not None and not recording.ended:
                 self.sender.begin(path)
-            if session.reconnected() and not recording.ended:
-                self._check_still_running()
+            is_back = session.reconnected()
+            if (is_back or self._is_overdue()) and not recording.ended:
+                self._check_still_running(session.request("STATUS"), is_back)
             if recording.ended:
                 return
+            self.sender.send_again()
+        asked = session.post("STATUS")
         session.request("STOP")
-        self._end(TIME)
+        for arrival in session.take("STATUS"):
+            if arrival.frame.sequence == asked:  # its state before STOP
+                self._check_still_running(arrival.frame.values, False)
+        if not recording.ended:
+            self._end(TIME)
+
+    def _is_overdue(self) -> bool:
+        """Whether more than a period has passed without a sign: an event, or on the host an answer."""
+        return self.session.link_s - self._sign_s > self.tables.period_us * 1e-6 + LATE_S
 
     def _end(self, why: str) -> None:
         """Record that the run was ended from outside, which completes a run that holds."""
@@ -272,17 +281,26 @@ class _Run:
         since_s = self.session.time_s - recording.first_decision_s
         return self.changes.due(since_s, recording.fixes, recording.decisions)
 
-    def _check_still_running(self) -> None:
-        """Ask the robot for its state after a lost connection, because its ENDED may have been lost."""
-        if int(self.session.request("STATUS")["state"]) != link_layout().state["RUNNING"]:
-            for arrival in self.session.take("ENDED"):
-                self._handle(arrival.frame)
-            self.recording.ended = self.recording.ended or DROPPED
+    def _check_still_running(self, status: Mapping[str, Value], is_back: bool) -> None:
+        """End the run if the robot's state says so, because its ENDED may have been lost.
+
+        ``is_back``: the connection was lost since the last check.
+        """
+        self._sign_s = self.session.link_s
+        self._handle_all()
+        state = link_layout().state
+        if self.recording.ended or status["state"] == state["RUNNING"]:
+            return
+        if status["state"] == state["FAULT"]:
+            self._raise_fault()
+        self.session.request("DISARM")
+        self.recording.ended, self.recording.completed = why_ended(self.session, status, is_back)
 
     def _run_on_host(self) -> None:
         session, recording = self.session, self.recording
         start_us = round((session.time_s + START_DELAY_S) * 1e6)
         recording.first_decision_s = start_us * 1e-6
+        self._sign_s = session.link_s
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while True:
             at_us = start_us + len(recording.decisions) * self.tables.period_us
@@ -299,6 +317,9 @@ class _Run:
             if path is not None:
                 self.twin.change_path(path)
                 self.changes.arrived(path)
+            if self._is_overdue():
+                self._sign_s = session.link_s
+                self._check_disarmed()
             began_s = time.perf_counter()
             decision = self.twin.decide(at_us)
             decision = replace(decision, plan_us=round((time.perf_counter() - began_s) * 1e6))
@@ -320,16 +341,25 @@ class _Run:
     def _run_until(self, until_s: float) -> None:
         while self.session.time_s < until_s and (self.options.onboard or self.twin.ended is None):
             self.session.step(min(max(self.source.next_event_s, self.session.time_s + 1e-6), until_s))
-            for arrival in self.session.take("FIX", "STROKE", "PATH", "DECISION", "REFUSED", "ENDED"):
-                self._handle(arrival.frame)
+            self._handle_all()
             self.recording.end_s = self.session.time_s
             self.keep(self.recording)
 
+    def _handle_all(self) -> None:
+        for arrival in self.session.take("FIX", "STROKE", "PATH", "DECISION", "REFUSED", "ENDED"):
+            if arrival.frame.kind == "event":
+                self._events.note(arrival.frame)
+            if arrival.frame.kind == "event" or not self.options.onboard:
+                self._sign_s = self.session.link_s
+            self._handle(arrival.frame)
+
     def _handle(self, frame: Frame) -> None:
         recording, values = self.recording, frame.values
-        if frame.name == "FIX" and frame.sequence not in self._unanswered:
-            self._late_answers += 1  # its sequence number has been reused, so the fix is unknown
-            return
+        if frame.name == "FIX":
+            row = self._unanswered.get(frame.sequence)
+            if row is None or not is_answer_to(frame, recording.fixes[row]):
+                self._late_answers += 1  # its sequence number has been reused, so the fix is unknown
+                return
         poses = {key: recording.fixes[row].pose_world for key, row in self._unanswered.items()}
         events = events_of_frame(frame, poses)
         if frame.name == "PATH" and (path := self.sender.answered(frame)) is not None:
@@ -338,7 +368,8 @@ class _Run:
         recording.events += events
         decision = decision_of_event(values) if frame.name == "DECISION" else None
         if self.options.check is not None:
-            self.options.check.compare(events, decision, self.session.gaps + self._late_answers)
+            gaps = self.session.gaps + self._late_answers + self._events.lost
+            self.options.check.compare(events, decision, gaps)
         if frame.name == "FIX":
             fix = recording.fixes[self._unanswered.pop(frame.sequence)]
             fix.robot_status = int(values["status"])
@@ -357,7 +388,7 @@ class _Run:
             if not self.options.onboard:
                 begin_us, known = begin_us - recording.clock_offset_us, len(recording.fixes)
                 self.twin.act(begin_us, RESTING)
-            if recording.decisions:  # the first one is lost if the connection dropped
+            if recording.decisions and not self._events.just_lost:  # its own decision may be lost
                 recording.rested[len(recording.decisions) - 1] = begin_us, known
         elif decision is not None:
             recording.decisions.append(decision)
@@ -372,8 +403,7 @@ class _Run:
         """End the run if the robot refused a stroke because it has disarmed itself."""
         status = self.session.request("STATUS")
         if status["state"] == link_layout().state["DISARMED"] and not self.recording.ended:
-            is_low = status["supply"] != link_layout().supply["OK"]
-            self.recording.ended = ENDED["SUPPLY"] if is_low else DISARMED
+            self.recording.ended = why_disarmed(status)
 
     def _raise_fault(self) -> None:
         status = self.session.request("STATUS")

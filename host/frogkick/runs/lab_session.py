@@ -181,6 +181,7 @@ class LabSession(Session):
     patience_s: float = 60.0
     # Random too: an answer that an earlier session no longer waited for may still come.
     _sequence: int = field(default_factory=lambda: secrets.randbelow(64))
+    _down_s: float = 0.0
     _connections: int = 1
     _clock_failed: bool = False
     _offset_us: int | None = None
@@ -189,10 +190,12 @@ class LabSession(Session):
     def step(self, until_s: float) -> None:
         """Wait until a time or until a frame comes; ``time_s`` is the real time afterwards."""
         self._forward_s()  # a clock that was set back would make this wait long
+        was_up = self.port.wire.is_up
         self.port.advance(until_s)
         self._receive()
         now_s = self._forward_s()
         paused_s, self.time_s = now_s - self.time_s, now_s
+        self._down_s += 0.0 if was_up else paused_s
         edges = self.port.edges()
         self.edges += edges
         self.on_step(self.time_s, edges)
@@ -288,6 +291,13 @@ class LabSession(Session):
         """Send DISARM; wait at most ``SAFE_S`` for a wire that is down."""
         self.patience_s = SAFE_S
         return super().make_safe()
+
+    @property
+    def link_s(self) -> float:
+        return self.time_s - self._down_s
+
+    def forget(self, sequence: int) -> None:
+        self.port.forget(sequence)
 
     def reconnected(self) -> bool:
         """Whether the connection was lost and restored since the last call: events may be missing."""

@@ -23,6 +23,7 @@ from frogkick.runs.runlog import PathChange, RunLog
 from frogkick.runs.session import LinkError, Session
 
 TRIES = 3
+ANSWER_S = 2.0  # after which a part without an answer counts as refused
 HOLD_LIMIT_M = 0.1
 """Largest distance from the end of a path for a robot that holds there."""
 AGAIN_POINTS = 2
@@ -57,6 +58,7 @@ class PathSender:
         self._path: Path | None = None
         self._sent = self._tries = 0
         self._sequence = -1
+        self._sent_s = 0.0
 
     def begin(self, path: Path) -> None:
         """Send the first part; a path that is still being sent is abandoned."""
@@ -68,7 +70,21 @@ class PathSender:
     def _send(self) -> None:
         values, rows = self._parts[self._sent]
         self._sequence = self._session.post("PATH", values, rows)
+        self._sent_s = self._session.link_s
         self._sent += 1
+
+    def send_again(self) -> None:
+        """Begin anew if an answer does not come. LinkError: again and again."""
+        if self._path is not None and self._session.link_s - self._sent_s > ANSWER_S:
+            self._session.forget(self._sequence)
+            self._begin_again(self._path, "does not answer")
+            self._send()
+
+    def _begin_again(self, path: Path, what: str, why: str = "") -> None:
+        self._tries += 1
+        if self._tries >= TRIES:
+            raise LinkError(f"the robot {what} the path {path.name!r} that was to take over{why}; run again")
+        self._sent = 0
 
     def answered(self, frame: Frame) -> Path | None:
         """Process an answer to PATH and send the next part; return the path once all of it has arrived.
@@ -80,13 +96,7 @@ class PathSender:
             return None
         status = int(frame.values["status"])
         if status != 0:
-            self._tries += 1
-            if self._tries >= TRIES:
-                raise LinkError(
-                    f"the robot refuses the path {self._path.name!r} that was to take over: "
-                    f"{link_layout().status_name(status)}; run again"
-                )
-            self._sent = 0
+            self._begin_again(self._path, "refuses", f": {link_layout().status_name(status)}")
         if self._sent < len(self._parts):
             self._send()
             return None

@@ -42,6 +42,20 @@ from frogkick.runs.summary import LEARN, LOST, NO_ANSWER, along_paths
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMB_GONE, LIMBS_MAX, LOST_MAX
 
+TIME = "time limit"
+STOPPED = "stopped by hand"
+DISARMED = "the robot disarmed itself"
+DROPPED = "connection lost, and the robot ended the run meanwhile"
+UNHEARD = "the robot ended the run, and its reason was lost"
+ENDED = {
+    "OK": End.COMPLETED.value,
+    "PASSED": End.PASSED.value,
+    "STALLED": End.STALLED.value,
+    "STALE": "position fixes lost",
+    "SUPPLY": "the robot's supply fell too low: charge it",
+}
+"""Status of an ENDED event -> why the run ended, for people."""
+
 CANNOT_FOLLOW = "cannot follow"
 """The beginning of the reason why a run with a lost limb ended."""
 
@@ -120,7 +134,7 @@ class Recording:
     edges: list[Edge] = field(default_factory=list)
     then: list[PathChange] = field(default_factory=list)  # paths that took over, and from which decision on
     completed: bool = False  # the robot reached the end of the path, or held there until the run was ended
-    ended: str = ""  # why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED
+    ended: str = ""  # why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED, UNHEARD
     fixes_refused: int = 0  # the robot's own counter
     # first_decision_s, end_s: session time
     first_decision_s: float = 0.0

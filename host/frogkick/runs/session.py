@@ -217,10 +217,18 @@ class Session:
             for _ in range(DISARM_TRIES):
                 try:
                     self.ask("DISARM")
-                except FrogkickError:
+                except Exception:  # whatever it is: the user must hear of the robot
                     continue
                 return True  # disarmed, or in a fault with its outputs off
         return False
+
+    @property
+    def link_s(self) -> float:
+        """Session time without the times at which the connection was down."""
+        return self.time_s
+
+    def forget(self, sequence: int) -> None:
+        """Do not send a command again; never done in simulated time."""
 
     def reconnected(self) -> bool:
         """Whether the connection was lost and restored since the last call; never in simulated time."""

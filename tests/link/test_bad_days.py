@@ -74,14 +74,16 @@ class Day:
                 self.session, source, rig.recording(path, options), lambda _t, _i: decided(), keep
             )
 
-    def fails(self, error: type[FrogkickError], words: str, go: Callable[[], object]) -> None:
-        """Check that it ends in one line, with all limbs off and the rows so far in the log."""
+    def fails(self, error: type[FrogkickError], words: str, go: Callable[[], object]) -> int:
+        """Check that it ends in one line, all limbs off and the rows so far in the log; return the state."""
         with pytest.raises(error, match=words) as said:
             go()
         assert "\n" not in str(said.value) and "did not confirm DISARM" not in str(said.value)
         assert self.robot.left_alone(), self.robot.names()
-        assert int(self.session.request("STATUS")["state"]) in (STATE["DISARMED"], STATE["FAULT"])
+        state = int(self.session.request("STATUS")["state"])
+        assert state in (STATE["DISARMED"], STATE["FAULT"])
         assert len(read_run(part_of(self.folder / "run.h5")).fixes.x_m) > 3
+        return state
 
 
 @contextmanager
@@ -227,8 +229,8 @@ def test_the_robot_s_clock_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
         def go() -> object:
             return now.run(pool_of(now.robot), shape(PATH), decided=back)
 
-        now.fails(LinkError, r"the robot met the internal error TIME \(0\) and switched", go)
-        assert int(now.session.request("STATUS")["state"]) == STATE["FAULT"]
+        state = now.fails(LinkError, r"the robot met the internal error TIME \(0\) and switched", go)
+        assert state == STATE["FAULT"]
 
 
 def test_the_robot_s_clock_goes_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -206,7 +206,7 @@ def _chip(ring: Ring) -> Section:
     chip, built = ring.chip, ring.built
     of = CHIPS[built.target]
     flash, ram = 100 * built.flash_bytes / of.flash_bytes, 100 * built.ram_bytes / of.ram_bytes
-    slowest_ms = max(run.tracking.plan_ms_p99 for run in ring.runs)
+    slowest_ms = max(run.tracking.plan_ms_p99 or 0.0 for run in ring.runs)
     rows = [
         ("flash", f"{built.flash_bytes:,} bytes, {flash:.1f} % of the chip"),
         ("of which the table", f"{len(ring.tables.image):,} bytes, {len(ring.tables.states)} states"),

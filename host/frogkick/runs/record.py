@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import pathlib
 import shlex
 import sys
@@ -290,7 +289,7 @@ class Recording:
             limit_violations=None
             if self.pool is None and not pulses
             else len(violations(self.robot, pulses)),
-            plan_ms_p99=float(np.percentile(plan_ms, 99)) if any(plan_ms) else math.nan,
+            plan_ms_p99=float(np.percentile(plan_ms, 99)) if any(plan_ms) else None,
         )
 
 

@@ -228,7 +228,7 @@ class Tracking:
     """How well a run followed its path, from the first decision to the end.
 
     Distances are from the path's polyline to the true poses (simulated runs) or to the fixes.
-    ``limit_violations`` is None if the pins were not seen. ``plan_ms_p99`` is NaN where planning takes no
+    ``limit_violations`` is None if the pins were not seen. ``plan_ms_p99`` is None where planning takes no
     time of the run: in the simulated pool, whose clock stands still meanwhile.
     """
 
@@ -239,7 +239,7 @@ class Tracking:
     decisions: int
     fixes_lost: int
     limit_violations: int | None
-    plan_ms_p99: float
+    plan_ms_p99: float | None
 
     @property
     def stood(self) -> bool:

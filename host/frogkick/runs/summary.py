@@ -278,7 +278,7 @@ def tracking_of_log(run: RunLog) -> Tracking:
         decisions=computed["decisions"],
         fixes_lost=int(number("fixes_lost")),
         limit_violations=int(held["limit_violations"]) if "limit_violations" in held else None,
-        plan_ms_p99=number("plan_ms_p99"),
+        plan_ms_p99=held.get("plan_ms_p99"),
     )
 
 

@@ -27,7 +27,7 @@ LEFT = {
     "another_robot": {"mine.toml"},
 }
 DEAR = ("another_robot", "worn_limb")
-"""The notebook identifies a worn limb as well, and the tutorial's robot is made by ``make docs``."""
+"""The notebook identifies a worn limb as well, and the tutorial's robot is made by ``make docs-check``."""
 
 
 built: dict[tuple[Any, ...], fk.Library] = {}

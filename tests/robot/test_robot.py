@@ -12,6 +12,7 @@ import pytest
 
 from frogkick.core.errors import InputError
 from frogkick.robot import load_robot, parse_robot
+from frogkick.robot.load import BUILT_IN
 from frogkick.robot.toml_text import to_toml
 
 ROBOT = load_robot("frog2022")
@@ -215,10 +216,53 @@ def test_a_file_on_a_base_has_its_keys_but_those_of_its_own(tmp_path: Path) -> N
     assert parse_robot(mine.toml, "again").sha256 == mine.sha256, "its text is whole"
     measured = load_robot("frog2022-measured")
     assert measured.id == ROBOT.id and len(measured.effects) > 5
-    for base, says in (("frog2021", "did you mean 'frog2022'"), ("frog2022-measured", "has a base itself")):
-        file.write_text(f'base = "{base}"\n')
-        with pytest.raises(InputError, match=says):
+    for base, says in (
+        ('"frog2021"', "did you mean 'frog2022'"),
+        ("3", "base is 3: give one of"),
+        ('"other.toml"', "base '.*other.toml' does not exist: check the path"),
+        ('"mine.toml"', "base 'mine.toml' is based on this file itself"),
+    ):
+        file.write_text(f"base = {base}\n")
+        with pytest.raises(InputError, match=says) as error:
             load_robot(file)
+        assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match=r"base is 'x.toml'.*: give one of"):
+        parse_robot('base = "x.toml"\n', "a text without a folder")
+
+
+def test_a_base_may_be_a_file_with_a_base_with_paths_from_its_own_folder(tmp_path: Path) -> None:
+    for folder in ("kinds", "mine"):
+        (tmp_path / folder).mkdir()
+    strokes = (BUILT_IN / "frog2022.profiles.toml").read_text().split("[[profile]]")
+    of_alloy = [text for text in strokes if "egain_percent = 10.0" in text]
+    (tmp_path / "kinds/strokes.toml").write_text("".join(f"[[profile]]{text}" for text in of_alloy))
+    (tmp_path / "kinds/current.py").write_text("")
+    (tmp_path / "kinds/long.toml").write_text(
+        'base = "frog2022"\nid = "long"\nperiod_s = 1.5\nprofiles_file = "strokes.toml"\n'
+        "[limb_default]\nlength_m = 0.03\n[[effect]]\nfile = 'current.py'\nclass = 'Mine'\n"
+    )
+    (tmp_path / "mine/two.toml").write_text(
+        'base = "../kinds/long.toml"\nid = "two"\n[limb_default]\ndrag_width_m = 0.02\n'
+    )
+    (tmp_path / "mine/three.toml").write_text('base = "two.toml"\nperiod_s = 1.6\n')
+    long, two, three = (
+        load_robot(tmp_path / f"{name}.toml") for name in ("kinds/long", "mine/two", "mine/three")
+    )
+    assert long.limbs == tuple(replace(limb, length_m=0.03) for limb in ROBOT.limbs)
+    assert two.limbs == three.limbs == tuple(replace(limb, drag_width_m=0.02) for limb in long.limbs)
+    assert (two.id, two.period_s, three.id, three.period_s) == ("two", 1.5, "two", 1.6)
+    assert two.profiles == long.profiles and len(two.profiles) < len(ROBOT.profiles)
+    assert [effect["file"] for effect in (*long.effects, *three.effects)] == [
+        "current.py",
+        "../kinds/current.py",
+    ]
+    assert parse_robot(three.toml, "again", three.folder) == three, "its text is whole"
+    measured = tmp_path / "measured.toml"
+    measured.write_text('base = "frog2022-measured"\nid = "mine"\n')
+    assert load_robot(measured).effects == load_robot("frog2022-measured").effects
+    (tmp_path / "kinds/long.toml").write_text('base = "../mine/three.toml"\n')
+    with pytest.raises(InputError, match="is based on this file itself"):
+        load_robot(tmp_path / "mine/two.toml")
 
 
 def test_a_profiles_file_that_is_no_text_is_refused(tmp_path: Path) -> None:

@@ -114,20 +114,12 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
     Args:
         content: TOML.
         source: its name in errors.
-        folder: where ``profiles_file`` and files of effects are; None if the text names none.
+        folder: where ``base``, ``profiles_file`` and files of effects are; None if the text names none.
 
     Raises:
         InputError: the text is no TOML, or a key is missing, unknown or out of its range.
     """
-    table = _parse_toml(content, source)
-    table, profiles = _on_base(table, source, folder)
-    name = table.pop("profiles_file", None)
-    if name is not None:
-        if not isinstance(name, str) or profiles is None or "profile" in table:
-            raise InputError(f"{source}: profiles_file needs a file name, a folder and no [[profile]]")
-        file = existing_file(profiles / name, "profiles file")
-        content = _text_of(file, f"profiles file {name!r}", "a TOML file of [[profile]] tables")
-        table["profile"] = _parse_toml(content, name).get("profile", [])
+    table = _whole(content, source, folder)
     default = table.pop("limb_default", {})
     limbs = table.get("limb")
     if not isinstance(default, Mapping):
@@ -164,22 +156,41 @@ def _require_likely(table: Mapping[str, Any], where: str = "") -> None:
             )
 
 
-def _on_base(table: dict[str, Any], source: str, folder: Path | None) -> tuple[dict[str, Any], Path | None]:
-    """A file's keys merged into those of its ``base``, a built-in robot, and the folder of its profiles."""
-    base = table.pop("base", None)
+def _whole(content: str, source: str, folder: Path | None, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """A file's keys with its strokes, merged into those of its ``base``, which may have a base itself.
+
+    Args:
+        content, source, folder: those of ``parse_robot``.
+        above: the files that are based on this one, and this one.
+    """
+    table = _parse_toml(content, source)
+    name, base = table.pop("profiles_file", None), table.pop("base", None)
+    if name is not None:
+        if not isinstance(name, str) or folder is None or "profile" in table:
+            raise InputError(f"{source}: profiles_file needs a file name, a folder and no [[profile]]")
+        file = existing_file(folder / name, "profiles file")
+        content = _text_of(file, f"profiles file {name!r}", "a TOML file of [[profile]] tables")
+        table["profile"] = _parse_toml(content, name).get("profile", [])
     if base is None:
-        return table, folder
-    if base not in built_in_robots():
-        known = built_in_robots()
+        return table
+    known = built_in_robots()
+    if base in known:
+        path = BUILT_IN / f"{base}.toml"
+    elif not isinstance(base, str) or folder is None or not (base.endswith(".toml") or "/" in base):
         hint = nearest_name(str(base), known)
-        raise InputError(f"{source}: base is {base!r}{hint}: give one of {', '.join(known)}")
-    below = _parse_toml((BUILT_IN / f"{base}.toml").read_text(encoding="utf-8"), str(base))
-    if "base" in below:
-        raise InputError(f"{source}: base {base!r} has a base itself: give {below['base']!r}")
-    if "profiles_file" in table or "profile" in table:
-        below.pop("profiles_file", None)
-        return _merged(below, table), folder
-    return _merged(below, table), BUILT_IN
+        raise InputError(
+            f"{source}: base is {base!r}{hint}: give one of {', '.join(known)}, or a robot's TOML file"
+        )
+    else:
+        path = existing_file(folder / base, f"{source}: base")
+    if path.resolve() in above:
+        raise InputError(f"{source}: base {base!r} is based on this file itself: take one of the two away")
+    content = _text_of(path, f"{source}: base {base!r}", "a robot's TOML file")
+    below = _whole(content, f"{source}: base {base!r}", path.parent, (*above, path.resolve()))
+    for row in below.get("effect", ()) if folder is not None else ():
+        if isinstance(row, dict) and isinstance(row.get("file"), str):
+            row["file"] = os.path.relpath(path.parent / row["file"], folder)
+    return _merged(below, table)
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

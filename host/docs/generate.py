@@ -116,6 +116,7 @@ def _schema_rows(model: type[BaseModel], table: str) -> Iterator[str]:
 
 
 def _allowed(field: Mapping[str, Any]) -> str:
+    field = next(iter(field.get("anyOf", ())), field)  # of a key whose default is none
     if "enum" in field:
         return " or ".join(f"`{value}`" for value in field["enum"])
     kind = {"number": "number", "integer": "whole number", "string": "text", "array": "list"}[field["type"]]

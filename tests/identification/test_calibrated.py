@@ -25,7 +25,7 @@ from frogkick.identification.segments import read_segments
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import prediction_errors
 from frogkick.robot import load_robot
-from frogkick.robot.load import new_robot_text
+from frogkick.robot.template import new_robot_text
 
 GENERIC = {
     "hull": (1.5, 0.85, 0.5, 4.0),
@@ -50,11 +50,11 @@ def test_a_robot_measured_before_is_a_relative_of_its_own_body_alone() -> None:
     assert not {"hull", "limb_mount", "limb_fatigue", "munk_moment"} & alone, "told together only"
 
 
-WEAR_OF_THREE = {f"limb_wear {name}" for name in ("front_right", "front_left", "rear_left", "all")}
+WEAR_OF_THREE = {f"limb_wear {name}" for name in ("front_right", "front_left", "tail", "all")}
 GAINS = {
-    1: {"limb_wear front_right"},
+    1: {"limb_wear tail"},
     2: {"limb_wear front_right", "limb_wear front_left", "limb_wear all"},
-    3: WEAR_OF_THREE | {"group_gain front", "group_gain left"},
+    3: WEAR_OF_THREE | {"group_gain front"},
 }
 
 

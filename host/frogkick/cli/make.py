@@ -109,7 +109,8 @@ def simulate(
             "distance_m": result.distance_m,
             "cost_of_transport": result.cost_of_transport,  # infinite without forward motion: shown as null
             **animated,
-        }
+        },
+        remarks=(described.cost_unknown,),
     )
 
 

@@ -136,8 +136,7 @@ def _numbers(text: str | None, option: str) -> list[float] | None:
 def _ranks(title: str, points: Sequence[Point]) -> list[str]:
     return [title] + [
         f"  {place}. {point.gait.egain_percent:g} % EGaIn, {point.gait.frequency_hz:g} Hz, phase "
-        f"{point.gait.phase:g}: {1e3 * point.speed_mps:.1f} mm/s, cost of transport "
-        f"{point.cost_of_transport:.0f}"
+        f"{point.gait.phase:g}: {1e3 * point.speed_mps:.1f} mm/s, {point.cost_text}"
         for place, point in enumerate(points[:5], start=1)
     ]
 

@@ -130,7 +130,9 @@ def new_robot(
     base: Annotated[
         str, "Built-in name or TOML file to start from.", opt.With(names=("--from",))
     ] = "frog2022",
-    limbs: Annotated[int | None, "Number of limbs to keep, from the first; default: all."] = None,
+    limbs: Annotated[
+        int | None, "Number of limbs, in mirrored pairs and an odd one as a tail; default: as many as it has."
+    ] = None,
 ) -> Result:
     """Write a complete robot file to start from, with a comment on every key."""
     from frogkick.front.describing import write_new_robot

@@ -20,7 +20,6 @@ from frogkick.der.mesh import build_mesh
 from frogkick.effects.acting import Program, changed_robot, lane_effects, program_of, rods_of
 from frogkick.effects.registry import effects_of
 from frogkick.robot import Action, Actuation, Robot
-from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 
 SAMPLE_S = 0.01  # spacing of trajectories
 CYCLES_MAX = 10000
@@ -150,7 +149,7 @@ class Trajectory:
         speed_mps: mean forward speed of a gait; of actions, the straight distance over the time.
         distance_m: straight distance from start to end.
         cost_of_transport: electrical energy over weight and distance, dimensionless; infinite without forward
-            motion.
+            motion, NaN for a robot whose file gives no ``pulse_energy_j``.
     """
 
     time_s: Float64
@@ -172,7 +171,7 @@ def trajectory_of(
     pose_world: Float64,
     velocity_body: Float64,
     speed_mps: float,
-    energy_j: float,
+    pulses: int,
     robot: Robot,
 ) -> Trajectory:
     """Put a trajectory together; the cost of transport is mean power over weight and speed.
@@ -181,8 +180,7 @@ def trajectory_of(
         time_s: (n,); pose_world: (n, 3), heading continuous; velocity_body: (n, 3).
     """
     x_m, y_m, heading = pose_world.T
-    power_w = energy_j / float(time_s[-1])
-    cost = power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps) if speed_mps > 0.0 else math.inf
+    cost = robot.cost_of_transport(pulses, float(time_s[-1]), speed_mps)
     distance = math.hypot(x_m[-1] - x_m[0], y_m[-1] - y_m[0])
     poses = np.column_stack([x_m, y_m, wrap_angle(heading)])
     return Trajectory(time_s, poses, velocity_body, speed_mps, distance, cost)
@@ -229,7 +227,7 @@ def simulate_actions(
     straight = math.hypot(*pose[-1, :2])
     pulses = sum(mask.bit_count() for _, mask in program)
     speed_mps = straight / float(time_s[-1])
-    return trajectory_of(time_s, pose, velocity, speed_mps, pulses * robot.pulse_energy_j, robot)
+    return trajectory_of(time_s, pose, velocity, speed_mps, pulses, robot)
 
 
 @dataclass(frozen=True)
@@ -291,7 +289,7 @@ def simulate_gaits(
         speed = float(mean_m[last] - mean_m[last - counted]) / (counted * period_s)
         time_s = sample_times(period_s, cycles)
         pose, velocity = interpolate(trace.time_s, trace.motion, time_s)
-        found.append(trajectory_of(time_s, pose, velocity, speed, pulses * robot.pulse_energy_j, robot))
+        found.append(trajectory_of(time_s, pose, velocity, speed, pulses, robot))
     return found
 
 

@@ -15,8 +15,8 @@ from frogkick.core.files import require_writable, write_text
 from frogkick.der import prepare
 from frogkick.effects import effects_of
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
-from frogkick.robot.load import new_robot_text
 from frogkick.robot.profile import MeasuredStroke, Profile, fit_stroke, read_stroke, write_profiles
+from frogkick.robot.template import new_robot_text
 from frogkick_codegen.firmware import require_limits
 
 if TYPE_CHECKING:
@@ -91,8 +91,9 @@ def _refused_by_firmware(robot: Robot) -> tuple[str, ...]:
 def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | None = None) -> Robot:
     """Write a robot file to start from, with all keys of another robot and a comment on each, and read it.
 
-    The file must not exist; its name without the ending is the robot's id. The first ``limbs`` limbs of
-    ``base`` are kept (None: all), with the actions that they allow, but none of its effects.
+    The file must not exist; its name without the ending is the robot's id. With another number of
+    ``limbs`` than that of ``base`` they are laid out anew, in mirrored pairs and an odd one as a tail, with
+    actions of their own. Effects are not taken over.
     """
     require_writable(file)
     if file.exists():

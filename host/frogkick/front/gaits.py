@@ -274,7 +274,7 @@ class Swept:
     def _repr_html_(self) -> str:
         rows = {
             f"{p.gait.egain_percent:g} %, {p.gait.frequency_hz:g} Hz, phase {p.gait.phase:g}": (
-                f"{1e3 * p.speed_mps:.1f} mm/s, cost of transport {p.cost_of_transport:.0f}"
+                f"{1e3 * p.speed_mps:.1f} mm/s, {p.cost_text}"
             )
             for p in self.fastest[:_TOP]
         }

@@ -46,8 +46,9 @@ def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> 
             images=[(designs, "Speed and cost of transport; boxes mark the designs that the paper names.")],
         ),
         _ranking("Fastest", sweeps.rank_designs(sweep, sweeps.by_speed)),
-        _ranking("Most efficient", sweeps.rank_designs(sweep, sweeps.by_cost)),
     ]
+    if efficient := sweeps.rank_designs(sweep, sweeps.by_cost):
+        sections.append(_ranking("Most efficient", efficient))
     if verdicts:
         sections.append(_paper(verdicts))
     caption = (

@@ -100,7 +100,7 @@ class Robot:
         period_s: time from the start of one action to that of the next.
         pulse_s: heating time of one limb.
         second_delay_s: time from the first group of an action to the second.
-        pulse_energy_j: electrical energy of one pulse on one limb.
+        pulse_energy_j: electrical energy of one pulse on one limb; None: unknown.
         water_density_kg_per_m3: of the fluid, for drag.
         egain_percent, profile_frequency_hz: which of ``profiles`` the strokes of actions are taken from.
         gait_lead_mask, gait_lag_mask: the two groups of the cyclic gait; the second lags by the phase.
@@ -119,7 +119,7 @@ class Robot:
     period_s: float
     pulse_s: float
     second_delay_s: float
-    pulse_energy_j: float
+    pulse_energy_j: float | None
     water_density_kg_per_m3: float
     egain_percent: float
     profile_frequency_hz: float
@@ -182,6 +182,26 @@ class Robot:
             for limb in self.limbs
         )
         return perimeter * self.frame.mass_per_length_kg_per_m + limbs
+
+    def cost_of_transport(self, pulses: float, time_s: float, speed_mps: float) -> float:
+        """Mean electrical power over weight in air and speed, P / (m g v); ``pulses`` are those in a time.
+
+        Infinite without forward motion; NaN if the energy of a pulse is not known.
+        """
+        if self.pulse_energy_j is None:
+            return math.nan
+        power_w = pulses * self.pulse_energy_j / time_s
+        return power_w / (self.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps) if speed_mps > 0.0 else math.inf
+
+    @property
+    def cost_unknown(self) -> str:
+        """Why costs of transport are unknown, and what to write; "" if they are not."""
+        if self.pulse_energy_j is not None:
+            return ""
+        return (
+            f"cost of transport unknown: write pulse_energy_j = J of one pulse on one limb in the file of "
+            f"robot {self.id!r}"
+        )
 
     @property
     def reach_m(self) -> float:

@@ -26,6 +26,9 @@ ACTION_NAME_MAX = 20
 ACTIONS_MAX = 32
 """As many as a table image has room for."""
 
+LIMBS_MAX = 8
+"""As many as a mask of limbs has bits."""
+
 ActionName = Annotated[str, Field(max_length=ACTION_NAME_MAX, pattern=r"^[A-Za-z][A-Za-z0-9_\-]*$")]
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")]
 
@@ -256,8 +259,8 @@ class RobotFile(_Table):
     period_s: Positive = key("s from one action to the next; a stroke is to end within it")
     pulse_s: Positive = key("s that a limb is heated for a stroke")
     second_delay_s: NotNegative = key("s from the action's first limbs to its second ones")
-    pulse_energy_j: NotNegative = key(
-        "J, electrical, of one pulse on one limb; only costs of transport need it"
+    pulse_energy_j: NotNegative | None = key(
+        "J, electrical, of one pulse on one limb; only costs of transport need it, unknown without it", None
     )
     egain_percent: float = key("the limbs' alloy, as in [[profile]]", ge=0.0, le=100.0)
     profile_frequency_hz: Positive = key(
@@ -276,7 +279,7 @@ class RobotFile(_Table):
     )
     water: WaterTable
     frame: FrameTable
-    limb: Annotated[list[LimbTable], Field(min_length=1, max_length=8)]
+    limb: Annotated[list[LimbTable], Field(min_length=1, max_length=LIMBS_MAX)]
     action: Annotated[list[ActionTable], Field(min_length=1, max_length=ACTIONS_MAX)]
     gait: GaitTable
     library: LibraryTable

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -15,7 +14,6 @@ from frogkick.der import Batch, Failure, Rods
 from frogkick.effects import rods_of
 from frogkick.effects.swims import Gait, gait_rods, simulate_gait_traces
 from frogkick.robot import Actuation, Profile, Robot
-from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
 
 CYCLES = 8
@@ -31,7 +29,9 @@ class GaitSwim:
     time_s: Float64  # (n,) ends of the time steps, from 0 to the end of the last cycle
     forward_m: Float64  # (n,) forward position of the mean of all nodes, which the authors exported
     speed_mps: float  # mean over cycles 5 to 8
-    cost_of_transport: float  # electrical energy over weight in air and distance; infinite without motion
+    cost_of_transport: (
+        float  # electrical energy over weight in air and distance; infinite without motion, NaN if unknown
+    )
 
 
 def speed_over_cycles(time_s: Float64, forward_m: Float64, frequency_hz: float) -> float:
@@ -46,11 +46,8 @@ def cost_of_transport(robot: Robot, frequency_hz: float, speed_mps: float) -> fl
 
     Each limb of the gait is pulsed once a cycle, for Robot.pulse_energy_j each.
     """
-    if speed_mps <= 0.0:
-        return math.inf
     pulses = robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count()
-    power_w = pulses * robot.pulse_energy_j * frequency_hz
-    return power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps)
+    return robot.cost_of_transport(pulses * frequency_hz, 1.0, speed_mps)
 
 
 Swum = list[GaitSwim | str]

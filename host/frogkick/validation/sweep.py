@@ -70,6 +70,12 @@ class Point:
     failure: str = ""
 
     @property
+    def cost_text(self) -> str:
+        """Return its cost of transport in words."""
+        cost = self.cost_of_transport
+        return "cost of transport unknown" if math.isnan(cost) else f"cost of transport {cost:.0f}"
+
+    @property
     def design(self) -> Design:
         """Return the design that swims it."""
         return Design(self.gait.egain_percent, self.gait.frequency_hz)
@@ -222,16 +228,17 @@ def _read_chunk(file: Path, key: str, plan: SweepPlan, design: Design) -> list[P
         chunk = json.loads(file.read_text(encoding="utf-8"))
         if chunk["format"] != _FORMAT or chunk["made_from"] != key:
             return None
-        points = [_point_of(row) for row in chunk["points"]]
+        points = [_point_of(row, plan.robot) for row in chunk["points"]]
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return points if [point.gait for point in points] == _gaits(plan, design) else None
 
 
-def _point_of(row: dict[str, float | str | None]) -> Point:
+def _point_of(row: dict[str, float | str | None], robot: Robot) -> Point:
     gait = Gait(*(float(row[name] or 0.0) for name in ("egain_percent", "frequency_hz", "phase")))
     failure = str(row.get("failure", ""))
-    missing = math.nan if failure else math.inf  # without forward motion the cost is infinite
+    # Without forward motion the cost is infinite.
+    missing = math.nan if failure or robot.cost_unknown else math.inf
     speed, cost = row["speed_mps"], row["cost_of_transport"]
     return Point(
         gait, math.nan if speed is None else float(speed), missing if cost is None else float(cost), failure
@@ -269,16 +276,19 @@ def rank_designs(sweep: Sweep, order: Rank, phase: float | None = None) -> list[
         points = [p for p in sweep.of_design(design) if phase is None or p.gait.phase == phase]
         if points:
             ranked.append(listed_phase(points))
-    return sorted(ranked, key=order)
+    return sorted((point for point in ranked if not math.isnan(order(point))), key=order)
 
 
 def rank_gaits(sweep: Sweep, order: Rank) -> list[Point]:
     """Return all gaits, best first; ties in the sweep's order."""
-    return sorted((point for point in sweep.points if not point.failure), key=order)
+    known = (point for point in sweep.points if not point.failure and not math.isnan(order(point)))
+    return sorted(known, key=order)
 
 
 def energy_model(robot: Robot) -> str:
     """Return a paragraph on what the cost of transport includes."""
+    if robot.cost_unknown:
+        return f"{robot.cost_unknown[0].upper()}{robot.cost_unknown[1:]}."
     pulses = robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count()
     return (
         "Cost of transport = electrical energy of a cycle / (weight in air x distance of a cycle). A cycle "

@@ -109,7 +109,7 @@ def _schema_rows(model: type[BaseModel], table: str) -> Iterator[str]:
     parts: Mapping[str, Any] = definition.get("$defs", {})
     for key, field in definition["properties"].items():
         inner = [part for part in parts if part in str(field)]
-        if not inner and key != "effect":
+        if (table or not inner) and key != "effect":
             default = "required" if key in definition.get("required", []) else f"`{field.get('default')}`"
             about = ABOUT[f"{table}.{key}" if table else key]
             yield f"| `{key}` | {_allowed(field)} | {default} | {about} |"

@@ -44,7 +44,7 @@ def frogkick_rod(runs: int, width: int) -> tuple[float, float]:
         stretching_n=MODULUS_PA * AREA_M2,
         natural_per_m=NATURAL_PER_M,
     )
-    rods = Rods(load_robot("frog2022"), mesh, plan, STILL)
+    rods = Rods(load_robot("frog2022"), mesh, plan, (STILL,) * 4)
     found, deflection = [], 0.0
     for run in range(runs + 1):  # the first one compiles
         still = np.zeros((width, 3))

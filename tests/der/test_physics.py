@@ -33,7 +33,7 @@ def alone(
 ) -> Batch:
     """One rod without limbs, in equal steps."""
     pose = np.array([[0.0, 0.0, heading]])
-    rods = Rods(ROBOT, mesh, symbolic, STILL)
+    rods = Rods(ROBOT, mesh, symbolic, (STILL,) * len(ROBOT.limbs))
     return Batch([rods], pose, np.array([velocity_body]), 0.0, step_s / COARSEST_AT_REST, width=1)
 
 
@@ -129,7 +129,7 @@ def test_momentum_is_conserved_without_water() -> None:
 
 def energy_gap(step_s: float, sample_s: float) -> tuple[float, float]:
     """What is missing from the balance of energy over two strokes, and the work that the limbs did, J."""
-    mesh, stroke = RODS.mesh, RODS.actuation
+    mesh, stroke = RODS.mesh, RODS.strokes[0]
     swimmer = Swimmer(ROBOT, velocity_body=(0.03, 0.01, 0.2), rods=RODS, step_s=step_s)
     swimmer.fire_mask(0b0011, 0.0)
     swimmer.fire_mask(0b1100, 0.08)

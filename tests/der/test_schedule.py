@@ -16,7 +16,6 @@ from frogkick.der.schedule import (
     RINGS_S,
     SLIVER,
     ScheduledStroke,
-    StepProfile,
     lane_times,
     lay_out,
     profiles_of,
@@ -25,26 +24,27 @@ from frogkick.der.schedule import (
     stroke_activation,
 )
 from frogkick.der.stepping import SCHEMES
-from frogkick.robot import load_robot
+from frogkick.robot import Actuation, load_robot
 
 ROBOT = load_robot("frog2022")
 SHARE = SCHEMES[ROBOT.integrator].share
-STEP_PROFILE, STEP_S = step_profile_of(ROBOT.actuation()), 0.001
+STROKE, STEP_S = ROBOT.actuation(), 0.001
+STEP_PROFILE = step_profile_of(STROKE)
 ROOM = 1.0 + 1e-6
 
 times = st.floats(0.0, 3.0)
 
 
 def ends_of(
-    now: float, until: float, strokes: Sequence[ScheduledStroke], step_profile: StepProfile = STEP_PROFILE
+    now: float, until: float, strokes: Sequence[ScheduledStroke], stroke: Actuation = STROKE
 ) -> np.ndarray:
     known = sorted(strokes)
     starts, scales = (
         np.array([each.start_s for each in known]),
         np.array([each.duration_scale for each in known]),
     )
-    shape = (step_profile.coarseness, step_profile.every_s, step_profile.over_s, step_profile.peak_s)
-    return np.asarray(step_times(now, until, starts, scales, *shape, STEP_S))
+    kinds = np.zeros(len(known), dtype=np.int64)
+    return np.asarray(step_times(now, until, starts, scales, kinds, profiles_of([[stroke]]), STEP_S))
 
 
 @example(now=0.8, length=1.0, starts=[1e-05])
@@ -123,7 +123,8 @@ def test_activation_is_the_largest_of_a_limb_s_strokes() -> None:
     at = np.linspace(-0.1, 2.5, 400)
     strokes = np.full((3, 2, 3), np.nan)
     strokes[0], strokes[1, 0] = [ScheduledStroke(0.0), ScheduledStroke(0.3)], ScheduledStroke(0.5)
-    active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, STEP_PROFILE.peak_s)
+    shape = (stroke.activation, stroke.step_s, STEP_PROFILE.peak_s)
+    active = np.column_stack([stroke_activation(at, of_limb, *shape) for of_limb in strokes])
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     one, two, three = (np.interp(at - s, table_s, stroke.activation, 0.0, 0.0) for s in (0.0, 0.3, 0.5))
     assert np.allclose(active[:, 0], np.maximum(one, two), atol=1e-12)
@@ -135,8 +136,8 @@ def test_a_weak_slow_stroke_is_the_measured_one_with_less_height_and_a_longer_ta
     stroke = ROBOT.actuation()
     at = np.linspace(0.0, 4.0, 900)
     peak_s = STEP_PROFILE.peak_s
-    strokes = np.array([[ScheduledStroke(0.0, 0.7, 2.0)]])
-    active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, peak_s)[:, 0]
+    strokes = np.array([ScheduledStroke(0.0, 0.7, 2.0)])
+    active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, peak_s)
     then = np.where(at <= peak_s, at, peak_s + (at - peak_s) / 2.0)
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     assert np.allclose(active, 0.7 * np.interp(then, table_s, stroke.activation, 0.0, 0.0), atol=1e-12)
@@ -157,18 +158,18 @@ def test_lanes_laid_out_in_one_go_are_those_laid_out_one_by_one() -> None:
             starts[lane, place], scales[lane, place] = stroke.start_s, stroke.duration_scale
             strokes[lane, 0, place] = stroke
     now, until = np.array([0.0, 0.1, 0.05]), np.array([0.9, 0.2, 0.05])
-    found, counts = lane_times(
-        now, until, until > now, starts, scales, profiles_of(actuations), STEP_S, np.inf
-    )
+    profiles = profiles_of([[each] for each in actuations])
+    kinds = np.repeat(profiles.kind, 2, axis=1)
+    found, counts = lane_times(now, until, until > now, starts, scales, kinds, profiles, STEP_S, np.inf)
     lengths, active = np.zeros((counts.max() - 1, 1, 4)), np.zeros((counts.max() - 1, 4, 4))
-    lay_out(found, counts, strokes, profiles_of(actuations), SHARE, lengths, active)
+    lay_out(found, counts, strokes, profiles, SHARE, lengths, active)
     assert counts[2] == 0 and not lengths[:, :, 2:].any() and not active[:, :, 2:].any()
     for lane, actuation in enumerate(actuations[:2]):
         ends, step_profile, steps = found[lane, : counts[lane]], step_profile_of(actuation), counts[lane] - 1
-        assert np.array_equal(ends, ends_of(now[lane], until[lane], fired[lane], step_profile))
+        assert np.array_equal(ends, ends_of(now[lane], until[lane], fired[lane], actuation))
         assert np.array_equal(lengths[:steps, 0, lane], np.diff(ends)) and not lengths[steps:, 0, lane].any()
         at = ends[:-1] + SHARE * np.diff(ends)
         table = (actuation.activation, actuation.step_s, step_profile.peak_s)
-        one = stroke_activation(at, strokes[lane], *table)[:, 0]
+        one = stroke_activation(at, strokes[lane, 0], *table)
         assert np.array_equal(active[:steps, 0, lane], one)
         assert np.array_equal(active[:steps, 1, lane], actuation.drop_per_m * one)

@@ -104,7 +104,7 @@ def test_an_odd_limb_pushes_forward(tmp_path: Path) -> None:
 
 
 @from_ci
-@pytest.mark.parametrize("limbs", range(1, LIMBS_MAX + 1))
+@pytest.mark.parametrize("limbs", [1, 3, 6, 8])
 def test_any_number_of_limbs_has_a_library_and_a_table_and_swims_in_the_pool(
     tmp_path: Path, limbs: int
 ) -> None:

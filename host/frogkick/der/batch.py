@@ -196,8 +196,8 @@ class Batch:
         scheme = SCHEMES[rods[0].robot.integrator]
         if rods[0].robot.integrator == "backward-euler":
             step_s = longest_s = EULER_STEP_S
-        actuations = [each.actuation for each in rods]
-        self._schedule = Schedule(actuations, self.limbs, scheme.share, step_s, longest_s)
+        strokes = [each.strokes for each in rods]
+        self._schedule = Schedule(strokes, scheme.share, step_s, longest_s)
         self._state = _State(mesh, rods[0].symbolic, scheme, width)
         self._alone: _State | None = None
         # Nodes are kept relative to a moving origin: far out, rounding would spoil strains of 1e-9.

@@ -62,18 +62,18 @@ class Mesh(NamedTuple):
 
 @dataclass(frozen=True)
 class Rods:
-    """The constant part that all swimmers of a robot share: mesh, symbolic factorisation, stroke."""
+    """The constant part that all swimmers of a robot share: mesh, symbolic factorisation, limbs' strokes."""
 
     robot: Robot
     mesh: Mesh
     symbolic: SymbolicFactorisation
-    actuation: Actuation
+    strokes: tuple[Actuation, ...]
 
 
 def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: float | None = None) -> Rods:
     """Build the shared part of swimmers, by default with the limb profile of the robot's actions."""
     mesh, symbolic = build_mesh(robot)
-    return Rods(robot, mesh, symbolic, robot.actuation(egain_percent, frequency_hz))
+    return Rods(robot, mesh, symbolic, robot.strokes(egain_percent, frequency_hz))
 
 
 class _Edge(NamedTuple):

@@ -80,9 +80,10 @@ def step_profile_of(actuation: Actuation) -> StepProfile:
 
 
 class Profiles(NamedTuple):
-    """Profiles of several lanes: fields of ``StepProfile`` and ``Actuation``, a row for each lane."""
+    """Strokes of several lanes: fields of ``StepProfile`` and ``Actuation``, a row for each kind."""
 
-    # coarseness, activation: (lanes, n) padded rows; the first ``coarse`` and ``active`` values are valid
+    kind: Int64  # (lanes, limbs) row of each limb
+    # coarseness, activation: (kinds, n) padded rows; the first ``coarse`` and ``active`` values are valid
     coarseness: Float64
     coarse: Int64
     over_s: Float64
@@ -94,16 +95,15 @@ class Profiles(NamedTuple):
     drop_per_m: Float64
 
     def of(self, lanes: Sequence[int]) -> Profiles:
-        """Return the rows of some lanes."""
-        return Profiles(*(each[lanes] for each in self))  # type: ignore[arg-type]
+        """Return the profiles of some lanes."""
+        return self._replace(kind=self.kind[lanes])
 
 
 class Schedule:
     """Strokes of several lanes, and the time steps that resolve them.
 
     Args:
-        actuations: for each lane the effect of its strokes on a limb.
-        limbs: number of limbs of each robot.
+        actuations: (lanes, limbs) the effect of each limb's strokes.
         share: share of a step at which forces are evaluated.
         step_s: the finest step.
         longest_s: upper bound of the steps, in addition to the step-size profile. If it is at most step_s,
@@ -111,15 +111,17 @@ class Schedule:
     """
 
     def __init__(
-        self, actuations: Sequence[Actuation], limbs: int, share: float, step_s: float, longest_s: float
+        self, actuations: Sequence[Sequence[Actuation]], share: float, step_s: float, longest_s: float
     ) -> None:
         self._profiles, self._share = profiles_of(actuations), share
         if longest_s <= step_s:
             self._profiles = self._profiles._replace(coarseness=np.ones_like(self._profiles.coarseness))
         self._step_s, self._longest_s = float(step_s), float(longest_s)
-        self._strokes: list[list[list[ScheduledStroke]]] = [[[] for _ in range(limbs)] for _ in actuations]
+        self._strokes: list[list[list[ScheduledStroke]]] = [[[] for _ in limbs] for limbs in actuations]
         self._changed = set(range(len(actuations)))
-        self._tables = np.empty((0, 0)), np.empty((0, 0)), np.empty((0, limbs, 0, 3))
+        self._tables = _Tables(
+            np.empty((0, 0)), np.empty((0, 0)), np.empty((0, 0), dtype=np.int64), np.empty((0, 0, 0, 3))
+        )
 
     def fire(self, lane: int, limb: int, stroke: ScheduledStroke) -> None:
         """Add a stroke of a lane's limb."""
@@ -146,8 +148,8 @@ class Schedule:
     def times(self, now_s: Float64, until_s: Float64, going: Bool) -> tuple[Float64, Int64]:
         """Return the ends of the steps of each lane; see ``lane_times``."""
         for lane in self._changed:  # forget strokes that are over and no longer ring
-            duration_s = float(self._profiles.duration_s[lane])
-            for of_limb in self._strokes[lane]:
+            durations_s = self._profiles.duration_s[self._profiles.kind[lane]].tolist()
+            for of_limb, duration_s in zip(self._strokes[lane], durations_s, strict=True):
                 of_limb[:] = [
                     each
                     for each in of_limb
@@ -156,9 +158,8 @@ class Schedule:
         if self._changed:
             self._set_tables()
             self._changed.clear()
-        starts_s, scales, _ = self._tables
         steps = lane_times(
-            now_s, until_s, going, starts_s, scales, self._profiles, self._step_s, self._longest_s
+            now_s, until_s, going, *self._tables[:3], self._profiles, self._step_s, self._longest_s
         )
         return steps[0], steps[1]
 
@@ -166,7 +167,7 @@ class Schedule:
         self, times: Float64, counts: Int64, width: int, lane: int | None = None
     ) -> tuple[SimdArray, SimdArray]:
         """Return the lengths of the steps of all lanes or of one, and the activations; see ``lay_out``."""
-        strokes, profiles, longest = self._tables[2], self._profiles, int(counts.max()) - 1
+        strokes, profiles, longest = self._tables.strokes, self._profiles, int(counts.max()) - 1
         if lane is not None:
             strokes, profiles = strokes[[lane]], profiles.of([lane])
         lengths = lane_zeros((longest, 1), width)
@@ -175,26 +176,42 @@ class Schedule:
         return lengths, active
 
     def _set_tables(self) -> None:
-        """Set (lanes, m) starts and scales of each lane's strokes, sorted, and all strokes, (lanes, limbs,
-        m, 3)."""
+        """Set the strokes of all lanes as arrays."""
         lanes, limbs = len(self._strokes), len(self._strokes[0])
         most = max([1, *(len(of_limb) for of_lane in self._strokes for of_limb in of_lane)])
         starts_s, scales = np.full((lanes, limbs * most), np.inf), np.ones((lanes, limbs * most))
+        kinds = np.zeros((lanes, limbs * most), dtype=np.int64)
         strokes = np.full((lanes, limbs, most, 3), np.nan)
         for lane, of_lane in enumerate(self._strokes):
-            for place, stroke in enumerate(sorted(stroke for of_limb in of_lane for stroke in of_limb)):
+            of_kind = zip(of_lane, self._profiles.kind[lane].tolist(), strict=True)
+            known = sorted((stroke, kind) for of_limb, kind in of_kind for stroke in of_limb)
+            for place, (stroke, kind) in enumerate(known):
                 starts_s[lane, place], scales[lane, place] = stroke.start_s, stroke.duration_scale
+                kinds[lane, place] = kind
             for limb, of_limb in enumerate(of_lane):
                 for place, stroke in enumerate(of_limb):
                     strokes[lane, limb, place] = stroke
-        self._tables = starts_s, scales, strokes
+        self._tables = _Tables(starts_s, scales, kinds, strokes)
 
 
-def profiles_of(actuations: Sequence[Actuation]) -> Profiles:
-    """Return the profiles of lanes with these strokes."""
-    known = {key: step_profile_of(each) for key, each in {id(each): each for each in actuations}.items()}
-    steps = [known[id(each)] for each in actuations]
+class _Tables(NamedTuple):
+    """Strokes of all lanes as arrays."""
+
+    # (lanes, m) of each lane's strokes, sorted by their start
+    starts_s: Float64
+    scales: Float64
+    kinds: Int64  # row in ``Profiles``
+    strokes: Float64  # (lanes, limbs, m, 3) fields of ``ScheduledStroke``; NaN for none
+
+
+def profiles_of(of_lanes: Sequence[Sequence[Actuation]]) -> Profiles:
+    """Return the profiles of lanes whose limbs have these strokes."""
+    known = {id(each): each for limbs in of_lanes for each in limbs}
+    rows = {key: row for row, key in enumerate(known)}
+    actuations = list(known.values())
+    steps = [step_profile_of(each) for each in actuations]
     return Profiles(
+        np.array([[rows[id(each)] for each in limbs] for limbs in of_lanes], dtype=np.int64),
         *_side_by_side([each.coarseness for each in steps]),
         np.array([each.over_s for each in steps]),
         np.array([each.peak_s for each in steps]),
@@ -208,8 +225,8 @@ def profiles_of(actuations: Sequence[Actuation]) -> Profiles:
 def _side_by_side(rows: Sequence[Float64]) -> tuple[Float64, Int64]:
     sizes = np.array([len(row) for row in rows], dtype=np.int64)
     every = np.zeros((len(rows), int(sizes.max())))
-    for lane, row in enumerate(rows):
-        every[lane, : len(row)] = row
+    for place, row in enumerate(rows):
+        every[place, : len(row)] = row
     return every, sizes
 
 
@@ -220,6 +237,7 @@ def lane_times(
     going: Bool,
     starts_s: Float64,
     scales: Float64,
+    kinds: Int64,
     profiles: Profiles,
     step_s: float,
     longest_s: float,
@@ -229,7 +247,7 @@ def lane_times(
     Args:
         now_s, until_s: (lanes,).
         going: (lanes,) whether a lane takes steps.
-        starts_s, scales: (lanes, m) current and later strokes in order, then infinity and 1.
+        starts_s, scales, kinds: (lanes, m) current and later strokes in order, then infinity, 1 and 0.
         profiles: of the lanes.
         step_s: the finest step.
         longest_s: longer steps are divided evenly.
@@ -251,10 +269,8 @@ def lane_times(
             until_s[lane],
             starts_s[lane],
             scales[lane],
-            profiles.coarseness[lane, : profiles.coarse[lane]],
-            profiles.step_s[lane],
-            profiles.over_s[lane],
-            profiles.peak_s[lane],
+            kinds[lane],
+            profiles,
             step_s,
         )
         count = 0
@@ -298,12 +314,14 @@ def lay_out(
             length = times[lane, k + 1] - times[lane, k]
             lengths[k, 0, lane] = length
             at[k] = times[lane, k] + share * length
-        table = profiles.activation[lane, : profiles.active[lane]]
-        found = stroke_activation(at, strokes[lane], table, profiles.step_s[lane], profiles.peak_s[lane])
-        for k in range(steps):
-            for limb in range(strokes.shape[1]):
-                active[k, 2 * limb, lane] = found[k, limb]
-                active[k, 2 * limb + 1, lane] = profiles.drop_per_m[lane] * found[k, limb]
+        for limb in range(strokes.shape[1]):
+            kind = profiles.kind[lane, limb]
+            table = profiles.activation[kind, : profiles.active[kind]]
+            own = strokes[lane, limb]
+            found = stroke_activation(at, own, table, profiles.step_s[kind], profiles.peak_s[kind])
+            for k in range(steps):
+                active[k, 2 * limb, lane] = found[k]
+                active[k, 2 * limb + 1, lane] = profiles.drop_per_m[kind] * found[k]
 
 
 @cached_njit(error_model="numpy")
@@ -312,10 +330,8 @@ def step_times(
     until_s: float,
     starts_s: Float64,
     scales: Float64,
-    coarseness: Float64,
-    every_s: float,
-    over_s: float,
-    peak_s: float,
+    kinds: Int64,
+    profiles: Profiles,
     step_s: float,
 ) -> Float64:
     """Return times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps of one lane."""
@@ -329,11 +345,14 @@ def step_times(
                 if starts_s[k] < until_s - SLIVER * step_s:
                     stop = starts_s[k]
                 break
-            place = int(_measured_s(now - starts_s[k], scales[k], peak_s) / every_s)
-            if place < len(coarseness):
-                longest = min(longest, coarseness[max(0, place)])
+            kind = kinds[k]
+            since_s = _measured_s(now - starts_s[k], scales[k], profiles.peak_s[kind])
+            place = int(since_s / profiles.step_s[kind])
+            if place < profiles.coarse[kind]:
+                longest = min(longest, profiles.coarseness[kind, max(0, place)])
         landing = stop
         for k in range(len(starts_s)):
+            over_s, peak_s = profiles.over_s[kinds[k]], profiles.peak_s[kinds[k]]
             over = starts_s[k] + peak_s + (over_s - peak_s) * scales[k]
             if over > now + SLIVER * step_s and over < landing - SLIVER * step_s:
                 stop = min(stop, over)
@@ -362,24 +381,23 @@ def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
 def stroke_activation(
     times_s: Float64, strokes: Float64, table: Float64, table_step_s: float, peak_s: float
 ) -> Float64:
-    """Return activations (k, limbs) at times (k,): the largest of each limb's strokes, otherwise 0.
+    """Return activations (k,) of a limb at times (k,): the largest of its strokes, otherwise 0.
 
     Args:
         times_s: (k,) times.
-        strokes: (limbs, m, 3) fields of ``ScheduledStroke``; NaN for none.
+        strokes: (m, 3) fields of ``ScheduledStroke``; NaN for none.
         table: activation at each table_step_s since the start of a measured stroke.
         table_step_s: spacing of the table.
         peak_s: time of its largest value.
     """
-    active = np.zeros((times_s.shape[0], strokes.shape[0]))
+    active = np.zeros(times_s.shape[0])
     for k in range(times_s.shape[0]):
-        for limb in range(strokes.shape[0]):
-            for stroke in range(strokes.shape[1]):
-                start, gain, scale = strokes[limb, stroke]
-                place = _measured_s(times_s[k] - start, scale, peak_s) / table_step_s
-                if place > 0.0 and place < table.shape[0] - 1 + ROUNDING:  # false for NaN
-                    index = min(int(place), table.shape[0] - 2)
-                    share = place - index
-                    now = (1.0 - share) * table[index] + share * table[index + 1]
-                    active[k, limb] = max(active[k, limb], gain * now)
+        for stroke in range(strokes.shape[0]):
+            start, gain, scale = strokes[stroke]
+            place = _measured_s(times_s[k] - start, scale, peak_s) / table_step_s
+            if place > 0.0 and place < table.shape[0] - 1 + ROUNDING:  # false for NaN
+                index = min(int(place), table.shape[0] - 2)
+                share = place - index
+                now = (1.0 - share) * table[index] + share * table[index + 1]
+                active[k] = max(active[k], gain * now)
     return active

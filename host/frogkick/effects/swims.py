@@ -327,7 +327,10 @@ def gait_rods(rods: Rods, gaits: Sequence[Gait], strokes: Sequence[Actuation]) -
             mesh, symbolic = build_mesh(changed_robot(robot, effects_of(robot)))
             bodies[percent] = replace(rods, robot=robot, mesh=mesh, symbolic=symbolic)
     return [
-        replace(bodies[gait.egain_percent], actuation=stroke)
+        replace(
+            bodies[gait.egain_percent],
+            strokes=rods.robot.strokes(gait.egain_percent, gait.frequency_hz, stroke),
+        )
         for gait, stroke in zip(gaits, strokes, strict=True)
     ]
 

@@ -53,8 +53,10 @@ def actions_figure(robot: Robot, ends: Float64) -> Figure:
     rows = -(-len(robot.actions) // columns)
     outline = 1e3 * np.array([*robot.frame.corners_m, robot.frame.corners_m[0]])
     rest = [1e3 * limb_points(robot.frame, limb) for limb in robot.limbs]
-    drop_per_m = robot.actuation().drop_per_m
-    active = [1e3 * limb_points(robot.frame, limb, drop_per_m) for limb in robot.limbs]
+    active = [
+        1e3 * limb_points(robot.frame, limb, stroke.drop_per_m)
+        for limb, stroke in zip(robot.limbs, robot.strokes(), strict=True)
+    ]
     points = np.vstack([outline, *rest, *active])
     low, high = points.min(axis=0) - 5.0, points.max(axis=0) + 5.0
     with style.new_figure(1.9 * columns, 2.3 * rows) as figure:
@@ -122,14 +124,14 @@ def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
 
 
 def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64) -> None:
-    drop_per_m = robot.actuation().drop_per_m
+    strokes = robot.strokes()
     node = mesh.frame_nodes
     corner_node = np.concatenate([[0], np.cumsum(robot.frame.segments)[:-1]])
     for index, limb in enumerate(robot.limbs):
         root = corner_node[limb.corner]
         rest = nodes_mm[[root, *range(node, node + limb.segments)]]
         node += limb.segments
-        active = 1e3 * limb_points(robot.frame, limb, drop_per_m)
+        active = 1e3 * limb_points(robot.frame, limb, strokes[index].drop_per_m)
         _line(axes, active, ".-", color=style.ALARM, markersize=3, linewidth=1.2)
         _line(axes, rest, ".-", color=style.TRUE, markersize=4, linewidth=2.0)
         _line(axes, rest[-1:], "o", color=style.TRUE, markersize=5, markerfacecolor="white")
@@ -160,12 +162,13 @@ def _centre_and_forward(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: Float64)
 
 
 def _legend(robot: Robot) -> list[Line2D]:
-    fall = robot.actuation().drop_per_m
+    falls = sorted({round(stroke.drop_per_m) for stroke in robot.strokes()})
+    fall = "/".join(f"{each}" for each in falls)
     at = f"{robot.egain_percent:g} % EGaIn, {robot.profile_frequency_hz:g} Hz"
     entries: dict[str, dict[str, Any]] = {
         "frame: nodes, corners": {"color": style.DESIRED, "marker": "s", "markersize": 5},
         "limb at rest; circle: tip": {"color": style.TRUE, "marker": "o", "markerfacecolor": "white"},
-        f"limb active: -{fall:.0f} 1/m ({at})": {"color": style.ALARM, "marker": "."},
+        f"limb active: -{fall} 1/m ({at})": {"color": style.ALARM, "marker": "."},
         "edge that the root bends against": {"color": "black", "linewidth": 4, "alpha": 0.55},
         "centre of mass (with added mass)": {"color": "black", "marker": "x", "linestyle": "none"},
         "origin of the file's coordinates": {"color": style.DESIRED, "marker": "+", "linestyle": "none"},

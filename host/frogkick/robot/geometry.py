@@ -111,12 +111,15 @@ def _limb_warnings(robot: Robot) -> list[str]:
     ]
     if over:
         found.append(f"{_names(over)}: curled over the frame edge at its root; no contact is simulated")
-    drop_per_m = robot.actuation().drop_per_m
-    active = [limb_points(robot.frame, limb, drop_per_m) for limb in robot.limbs]
+    drops_per_m = [stroke.drop_per_m for stroke in robot.strokes()]
+    active = [
+        limb_points(robot.frame, limb, drop) for limb, drop in zip(robot.limbs, drops_per_m, strict=True)
+    ]
     for i, limb in enumerate(robot.limbs):
         for j in range(i):
             if crossings(active[i], active[j]).any():
                 found.append(f"limbs {robot.limbs[j].name}, {limb.name}: cross where both are active")
+        drop_per_m = drops_per_m[i]
         if drop_per_m > abs(limb.rest_curvature_per_m):
             found.append(
                 f"limb {limb.name}: a stroke takes {drop_per_m:.1f} 1/m off its curvature of "

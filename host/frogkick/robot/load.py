@@ -7,6 +7,7 @@ import math
 import os
 import tomllib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -166,13 +167,16 @@ def _whole(content: str, source: str, folder: Path | None, above: tuple[Path, ..
         above: the files that are based on this one, and this one.
     """
     table = _parse_toml(content, source)
-    name, base = table.pop("profiles_file", None), table.pop("base", None)
-    if name is not None:
-        if not isinstance(name, str) or folder is None or "profile" in table:
+    limbs = table.get("limb")
+    for each in (table, *(limbs if isinstance(limbs, list) else ())):
+        if not isinstance(each, dict) or (name := each.pop("profiles_file", None)) is None:
+            continue
+        if not isinstance(name, str) or folder is None or "profile" in each:
             raise InputError(f"{source}: profiles_file needs a file name, a folder and no [[profile]]")
         file = existing_file(folder / name, "profiles file")
         content = _text_of(file, f"profiles file {name!r}", "a TOML file of [[profile]] tables")
-        table["profile"] = _parse_toml(content, name).get("profile", [])
+        each["profile"] = _parse_toml(content, name).get("profile", [])
+    base = table.pop("base", None)
     if base is None:
         return table
     known = built_in_robots()
@@ -296,7 +300,8 @@ def _frame(table: FrameTable) -> Frame:
 def _limb(table: LimbTable, corners: int) -> Limb:
     if table.corner >= corners:
         raise InputError(f"limb {table.name!r} sits at corner {table.corner}: the last one is {corners - 1}")
-    return _part(Limb, table)
+    _distinct([(p.egain_percent, p.frequency_hz) for p in table.profile], f"profiles of limb {table.name!r}")
+    return replace(_part(Limb, table), profiles=tuple(_profile(profile) for profile in table.profile))
 
 
 def _profile(table: ProfileTable) -> Profile:
@@ -391,5 +396,5 @@ def _robot(file: RobotFile, folder: Path | None) -> Robot:
         toml=text,
         sha256=hashlib.sha256(text.encode("utf-8")).digest(),
     )
-    robot.actuation()  # raises if the actions' profile is missing
+    robot.strokes()  # raises if a profile of the actions is missing
     return robot

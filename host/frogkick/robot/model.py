@@ -219,6 +219,34 @@ class Robot:
         frequency = self.profile_frequency_hz if frequency_hz is None else frequency_hz
         return actuation(self.profiles, egain, frequency)
 
+    def strokes(
+        self,
+        egain_percent: float | None = None,
+        frequency_hz: float | None = None,
+        shared: Actuation | None = None,
+    ) -> tuple[Actuation, ...]:
+        """The stroke of each limb, by default that of the actions; ``shared`` is that of limbs without own.
+
+        Raises:
+            InputError: outside of the measured profiles.
+        """
+        egain = self.egain_percent if egain_percent is None else egain_percent
+        frequency = self.profile_frequency_hz if frequency_hz is None else frequency_hz
+        known: dict[tuple[float, tuple[Profile, ...]], Actuation] = {}
+        found = []
+        for limb in self.limbs:
+            key = egain if limb.egain_percent is None else limb.egain_percent, limb.profiles
+            if key not in known and shared is not None and key == (egain, ()):
+                known[key] = shared
+            if key not in known:
+                try:
+                    known[key] = actuation(limb.profiles or self.profiles, key[0], frequency)
+                except InputError as error:
+                    where = f"limb {limb.name!r}: " if limb.profiles else ""
+                    raise InputError(f"{where}{error}") from None
+            found.append(known[key])
+        return tuple(found)
+
     def at_period(self, period_s: float) -> Robot:
         """The robot with another period and the profile of its frequency; unchanged within ``PERIOD_SAME``.
 
@@ -229,7 +257,7 @@ class Robot:
             raise InputError("period_s is 0: give a time above 0")
         if abs(period_s / self.period_s - 1.0) <= PERIOD_SAME:
             return self
-        self.actuation(frequency_hz=1.0 / period_s)
+        self.strokes(frequency_hz=1.0 / period_s)
         period_s, frequency_hz = float(period_s), 1.0 / float(period_s)
         table = tomllib.loads(self.toml) | {"period_s": period_s, "profile_frequency_hz": frequency_hz}
         text = to_toml(table)

@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, PydanticUndefined
 
 from frogkick.core.weights import COSTS, WEIGHTS, Weight, Weights
+from frogkick.robot.profile import Profile
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -108,15 +109,20 @@ class Limb:
     egain_mass_ratio: Annotated[NotNegative, key(
         "mass for each m that a limb of EGaIn alone would have more, over mass_per_length_kg_per_m"
     )] = 0.0  # fmt: skip
+    egain_percent: Annotated[float | None, key(
+        "the alloy of this limb, as in its [[profile]]; without it that of the robot", ge=0.0, le=100.0
+    )] = None  # fmt: skip
+    profiles: tuple[Profile, ...] = ()  # its own; without any, those of the robot
     # set by effects only: water that moves with it across but not along it, and the share of its momentum
     # that the tip leaves behind; see frogkick.der.plates
     plate_mass_per_length_kg_per_m: float = 0.0
     tip_shedding: float = 0.0
 
     def with_egain(self, percent: float) -> Limb:
-        """The limb with the mass that this much EGaIn, per cent by volume, gives it."""
+        """The limb with the mass that EGaIn gives it: its own per cent by volume, or else this."""
         if self.egain_mass_ratio == 0.0:
             return self
+        percent = percent if self.egain_percent is None else self.egain_percent
         mass = self.mass_per_length_kg_per_m * (1.0 + self.egain_mass_ratio * percent / 100.0)
         return replace(self, mass_per_length_kg_per_m=mass, egain_mass_ratio=0.0)
 
@@ -171,6 +177,21 @@ class PlannerDefaults(Weights):
     plan_time_s: float
 
 
+class ProfileTable(_Table):
+    egain_percent: float = key("the alloy that was measured", ge=0.0, le=100.0)
+    frequency_hz: Positive = key("strokes a second at which it was measured")
+    duration_s: Positive = key("s of the measurement, one stroke")
+    rest_curvature_per_m: Positive = key("1/m, size of the curvature at rest")
+    amplitude_per_m: list[float] = key("1/m of each term: amplitude / (1 + exp(-(t - centre) / width))")
+    centre_s: list[float] = key("s of each term")
+    width_s: list[Positive] = key("s of each term")
+    rms_per_m: NotNegative = key("1/m that the terms miss the measurement by, root mean square")
+    start_per_m: NotNegative = key(
+        "1/m at the pulse's start; above 0: one term up to straightest_s, one from there on", 0.0
+    )
+    straightest_s: NotNegative = key("s at which the limb is straightest, with start_per_m", 0.0)
+
+
 class ActionTable(_Table):
     name: ActionName = key("a letter, or a word of up to 20 letters, digits, - and _; up to 32 actions")
     first: list[str] = key("limbs that fire at the action's start")
@@ -215,7 +236,15 @@ if TYPE_CHECKING:
     BatteryTable = Any
     PlannerTable = Any
 else:
-    FrameTable, LimbTable = _table_of(Frame, "FrameTable"), _table_of(Limb, "LimbTable")
+    FrameTable = _table_of(Frame, "FrameTable")
+    LimbTable = create_model(
+        "LimbTable",
+        __base__=_table_of(Limb, "LimbKeys"),
+        profile=(
+            list[ProfileTable],
+            key("its own [[limb.profile]] tables, or a profiles_file; without any, those of the robot", []),
+        ),
+    )
     LibraryTable, GuardTable = _table_of(VelocityBox, "LibraryTable"), _table_of(Guard, "GuardTable")
     BatteryTable = _table_of(Battery, "BatteryTable")
     PlannerTable = create_model(
@@ -229,21 +258,6 @@ else:
         plan_time_s=(float, key("s that a decision may take on the robot; 0: no limit", 0.0, ge=0.0, le=1.0)),
         depth=(int, key("levels to look ahead, 1 to 4; route: from 3 on a beam of four more", ge=1, le=4)),
     )
-
-
-class ProfileTable(_Table):
-    egain_percent: float = key("the alloy that was measured", ge=0.0, le=100.0)
-    frequency_hz: Positive = key("strokes a second at which it was measured")
-    duration_s: Positive = key("s of the measurement, one stroke")
-    rest_curvature_per_m: Positive = key("1/m, size of the curvature at rest")
-    amplitude_per_m: list[float] = key("1/m of each term: amplitude / (1 + exp(-(t - centre) / width))")
-    centre_s: list[float] = key("s of each term")
-    width_s: list[Positive] = key("s of each term")
-    rms_per_m: NotNegative = key("1/m that the terms miss the measurement by, root mean square")
-    start_per_m: NotNegative = key(
-        "1/m at the pulse's start; above 0: one term up to straightest_s, one from there on", 0.0
-    )
-    straightest_s: NotNegative = key("s at which the limb is straightest, with start_per_m", 0.0)
 
 
 class RobotFile(_Table):

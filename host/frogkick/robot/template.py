@@ -41,8 +41,8 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
     if limbs is not None and limbs != len(table["limb"]):
         _lay_out(table, limbs, base.actuation().drop_per_m)
     table["id"], table["title"] = name, f"{name}, based on {base.id}"
-    alloy = table["egain_percent"]
-    table["profile"] = [profile for profile in table["profile"] if profile["egain_percent"] == alloy]
+    alloys = {table["egain_percent"], *(limb.get("egain_percent") for limb in table["limb"])}
+    table["profile"] = [profile for profile in table["profile"] if profile["egain_percent"] in alloys]
     intro = [
         f"# A robot file of frogkick, based on {base.id}. Units are in the names of keys. Look at it with",
         "# 'frogkick robot show FILE --out robot.png'; the documentation has the rest: A robot of your own.",
@@ -228,7 +228,7 @@ def _commented(text: str) -> list[str]:
         elif key := re.match(r"(\w+) = ", line):
             name = where + key.group(1)
             if name not in commented:
-                lines.append(f"# {ABOUT[name]}")
+                lines.append(f"# {ABOUT.get(name) or ABOUT[name.removeprefix('limb.')]}")
                 commented.add(name)
         lines.append(line)
     return [*lines, ""]

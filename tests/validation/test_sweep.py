@@ -204,7 +204,7 @@ def test_a_chunk_keeps_failures_and_infinite_costs(tmp_path: Path) -> None:
         Point(Gait(10.0, 0.4, 0.5), -0.001, math.inf),
         Point(Gait(10.0, 0.4, 0.7), 0.1 + 0.2, 1.0 / 3.0),
     ]
-    again = [_point_of(row) for row in json.loads(_chunk_text("key", points))["points"]]
+    again = [_point_of(row, ROBOT) for row in json.loads(_chunk_text("key", points))["points"]]
     assert again[1:] == points[1:]
     assert again[0].failure == "why" and math.isnan(again[0].speed_mps)
 

@@ -70,6 +70,29 @@ def test_every_task_once_on_this_machine(workers: int) -> None:
     assert list(run_chunks(ADDING, [], workers)) == []
 
 
+@pytest.mark.parametrize("where", ["module", "script", "lambda"])
+def test_a_script_is_not_run_again_where_processes_are_spawned(where: str, tmp_path: Path) -> None:
+    """What only the script describes is done in its own process, as nothing else could."""
+    body = (
+        "import os\ndef start(base): return [base]\n"
+        "def add(ready, task): return ready[0] + task, os.getpid()\n"
+    )
+    (tmp_path / "mine.py").write_text(body)
+    own = "from mine import add, os, start\n" if where == "module" else body
+    start_it = "lambda base: [base]" if where == "lambda" else "start"
+    (tmp_path / "script.py").write_text(
+        "import multiprocessing\nprint('begun', flush=True)\nmultiprocessing.set_start_method('spawn')\n"
+        f"{own}"
+        "from frogkick.core.chunks import Job, run_chunks\n"
+        f"found = dict(run_chunks(Job({start_it}, (100,), add, len), range(4), 2))\n"
+        "print([found[k][0] for k in range(4)], os.getpid() in [at for _, at in found.values()])\n"
+    )
+    said = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (said.stdout, said.stderr) == (f"begun\n[100, 101, 102, 103] {where != 'module'}\n", "")
+
+
 def swallow(_ready: list[int]) -> None:
     """Interrupt this process, and swallow the exception."""
     with contextlib.suppress(KeyboardInterrupt):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import re
 import subprocess
 import sys
 import tomllib
@@ -14,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
-from tests.conftest import REPOSITORY, count, from_ci
+from tests.conftest import count, from_ci
+from tests.front.readme import fewer, readme_lines
 from tests.identification.made import robot as made_robot
 from tests.link.live_robot import LiveRobot
 from tests.runs import rig
@@ -40,20 +40,16 @@ def readme(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
     But with test-full with fewer states and few candidates: the same lines, in seconds.
     """
-    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
-    (lines,) = re.findall(r"```python\n(import frogkick as fk\n.*?)```", text, re.DOTALL)
     names: dict[str, Any] = {"made_robot": made_robot}
     folder = tmp_path_factory.mktemp("readme")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        if few := count(60, 0, 46):
-            for old, new in (('fk.load_robot("frog2022")', "made_robot()"), ("states=300", f"states={few}")):
-                assert old in lines
-                lines = lines.replace(old, new)
+        few = count(60, 0, 46)
+        if few:
             some = [term for term in catalogue(made_robot()) if "limb_wear rear" in term.title]
             patch.setattr(outcome_module, "catalogue", lambda *_: some)
             patch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
-        exec(compile(lines, "README.md", "exec"), names)
+        exec(compile(readme_lines(*(fewer(few) if few else ())), "README.md", "exec"), names)
     return {**names, "folder": folder}
 
 

@@ -25,7 +25,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import metadata, resources
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import Any, Generic, TypeVar
 
 from frogkick.core.errors import FrogkickError, InputError, require
@@ -66,6 +66,10 @@ def run_chunks(
     If the caller stops early, chunks that have begun on the pool are ended and dropped; a cluster drops
     those that wait.
 
+    A user's script needs no guard (``if __name__ == "__main__"``): where processes are not forked, they do
+    not run it. Work that only the script itself describes, such as an effect whose class is there, is done in
+    this process.
+
     Args:
         tasks: one for each chunk.
         workers: number of processes, 1 to 256; 1: this one. Ignored with a cluster.
@@ -83,7 +87,7 @@ def run_chunks(
         yield from _on_cluster(job, tasks, cluster)
         return
     with _interrupts() as check:
-        if workers == 1 or len(tasks) == 1:
+        if workers == 1 or len(tasks) == 1 or not (forks() or _can_be_sent(job, tasks)):
             ready = job.start(*job.given)
             for index, task in enumerate(tasks):
                 check()
@@ -139,13 +143,38 @@ def _run_in_worker(task: Any) -> Any:
     return run(ready, task)
 
 
+def forks() -> bool:
+    """Whether worker processes are forks of this one: on Linux, unless the user chose another start
+    method."""
+    return sys.platform == "linux" and multiprocessing.get_start_method(allow_none=True) in (None, "fork")
+
+
+def _can_be_sent(job: Job[Any, Any, Any], tasks: Sequence[Any]) -> bool:
+    """Whether a new interpreter can read the work without running the user's script again."""
+    try:
+        return b"__main__" not in pickle.dumps((job.start, job.given, job.run, tasks))
+    except Exception:  # as of a user's own function: pickle raises errors of many kinds
+        return False
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Hide the user's script from processes that are started meanwhile, which would run it from its top."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
 def _on_pool(
     job: Job[Ready, Task, Result], tasks: Sequence[Task], workers: int, check: Callable[[], None]
 ) -> Iterator[tuple[int, Result]]:
     job.warm(job.start(*job.given))
     check()
     # Forked before this process has threads, which a fork would copy with their locks held.
-    method = "fork" if sys.platform == "linux" else "spawn"
+    method = "fork" if forks() else "spawn"
     executor = ProcessPoolExecutor(
         min(workers, len(tasks)),
         mp_context=multiprocessing.get_context(method),
@@ -154,7 +183,7 @@ def _on_pool(
     )
     pending: dict[Future[Any], int] = {}
     try:
-        with ctrl_c_waits():
+        with ctrl_c_waits(), nullcontext() if forks() else _without_main():
             pending |= {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
         for future in as_completed(pending):
             check()

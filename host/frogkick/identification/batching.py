@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar, cast
 
 from frogkick import der
-from frogkick.core.chunks import Job, run_chunks
+from frogkick.core.chunks import Job, forks, run_chunks
 from frogkick.identification import predict
 from frogkick.identification.predict import Lane, Rollout
 
@@ -91,7 +90,7 @@ def _roll_out(lanes: Sequence[Lane]) -> list[Rollout]:
 
 def _processors() -> int:
     """Processors that may be used; one in a worker process, and where processes cannot be forked."""
-    if sys.platform != "linux" or multiprocessing.parent_process() is not None:
+    if not forks() or multiprocessing.parent_process() is not None:
         return 1
     return len(os.sched_getaffinity(0))
 

@@ -1,4 +1,4 @@
-"""A limb with strokes and an alloy of its own: read from its file, checked, and at work in the rods."""
+"""A limb with strokes, an alloy and a taper of its own: read from its file, checked, at work in the rods."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from frogkick.core.errors import InputError
+from frogkick.der.mesh import build_mesh
 from frogkick.effects.swims import Gait, simulate_actions, simulate_gaits
 from frogkick.robot import Robot, load_robot, mirror_of, parse_robot, robot_warnings
 from frogkick.robot.load import BUILT_IN
@@ -72,6 +73,46 @@ def test_a_gait_of_another_alloy_leaves_a_limb_its_own() -> None:
     assert not np.array_equal(swims[0].pose_world, swims[1].pose_world)
 
 
+TAPER = {"tip_width_ratio": 0.4, "tip_stiffness_ratio": 0.3}
+
+
+def test_a_limb_that_is_as_wide_and_stiff_at_its_tip_has_the_bits_of_none() -> None:
+    even = with_own({limb.name: dict.fromkeys(TAPER, 1.0) for limb in ROBOT.limbs})
+    assert even.toml == ROBOT.toml
+    for one, other in zip(build_mesh(ROBOT)[0], build_mesh(even)[0], strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_taper_takes_mass_drag_and_stiffness_from_the_tip_by_hand() -> None:
+    limb, narrow = ROBOT.limbs[0], with_own({"front_right": TAPER})
+    (before, _), (after, _) = build_mesh(ROBOT), build_mesh(narrow)
+    first = before.frame_nodes
+    edges, shares = slice(first, first + limb.segments), (np.arange(limb.segments) + 0.5) / limb.segments
+    width = 1.0 - 0.6 * shares
+    for name in ("edge_drag_normal", "edge_drag_tangential", "edge_stiffness_n"):
+        assert getattr(after, name)[edges] == pytest.approx(getattr(before, name)[edges] * width)
+    piece_m = limb.length_m / limb.segments
+    less_kg = piece_m * (
+        limb.mass_per_length_kg_per_m * (1.0 - width).sum()
+        + limb.added_mass_per_length_kg_per_m * (1.0 - width**2).sum()
+    )
+    assert before.mass_kg.sum() - after.mass_kg.sum() == pytest.approx(less_kg, rel=1e-6)
+    dry_kg = 0.3 * limb.length_m * limb.mass_per_length_kg_per_m
+    assert ROBOT.mass_kg - narrow.mass_kg == pytest.approx(dry_kg, rel=1e-6)
+    bends = np.flatnonzero(before.bend_column == 0)
+    softer = 1.0 - 0.7 * np.arange(1, limb.segments) / limb.segments
+    assert after.bend_stiffness_n_m2[bends] == pytest.approx(before.bend_stiffness_n_m2[bends] * softer)
+    rest = np.setdiff1d(np.arange(len(before.bend_stiffness_n_m2)), bends)
+    assert np.array_equal(after.bend_stiffness_n_m2[rest], before.bend_stiffness_n_m2[rest])
+
+
+def test_tapered_pairs_swim_straight_and_one_tapered_limb_turns() -> None:
+    every = last_pose(with_own({limb.name: TAPER for limb in ROBOT.limbs}), "B")
+    assert every[0] > 1e-3 and abs(every[1]) < 1e-7 and abs(every[2]) < 1e-6
+    left, right = (last_pose(with_own({f"front_{side}": TAPER}), "B") for side in ("left", "right"))
+    assert abs(left[2]) > 1e-3 and left == pytest.approx(right * [1.0, -1.0, -1.0], abs=1e-7)
+
+
 def test_a_limb_s_alloy_gives_it_its_mass() -> None:
     limb = replace(ROBOT.limbs[0], egain_mass_ratio=2.0)
     heavy = replace(limb, egain_percent=50.0)
@@ -83,6 +124,8 @@ def test_what_is_wrong_with_a_limb_s_own_strokes_is_said_in_one_line(tmp_path: P
         ({"egain_percent": 90.0}, "no limb profile at 90 % EGaIn and 0.7 Hz"),
         ({"egain_percent": 101.0}, "limb.2.egain_percent is '101.0': input should be less than"),
         ({"profiles_file": "none.toml"}, "profiles file '.*none.toml' does not exist"),
+        ({"tip_width_ratio": 0.0}, "limb.2.tip_width_ratio is '0.0': input should be greater than 0"),
+        ({"tip_stiffness_ratio": 11.0}, "limb.2.tip_stiffness_ratio is '11.0': input should be less than"),
         ({"profiles_file": 3}, "profiles_file needs a file name"),
         (
             {"profile": [tomllib.loads(ROBOT.toml)["profile"][0]] * 2},

@@ -144,25 +144,34 @@ class _Parts:
             angle = limb.direction_rad + (j + 0.5) * turn  # chords of an arc whose tangent starts there
             x, y = x + step * math.cos(angle), y + step * math.sin(angle)
             self.points.append((x, y))
+        widths = [limb.width_at((j + 0.5) / limb.segments) for j in range(limb.segments)]
         if limb.plate_mass_per_length_kg_per_m > 0.0:
             water = limb.plate_mass_per_length_kg_per_m
-            shed = [0.0] * (limb.segments - 1) + [water * limb.tip_shedding]
+            shed = [0.0] * (limb.segments - 1) + [water * limb.width_at(1.0) ** 2 * limb.tip_shedding]
             first = len(self.edges)
-            self.plates += [(first + j, 0.5 * water * step, shed[j]) for j in range(limb.segments)]
+            self.plates += [
+                (first + j, 0.5 * water * width**2 * step, shed[j]) for j, width in enumerate(widths)
+            ]
         self.edges += [
             _Edge(
                 pair,
-                limb.modulus_rest_pa * limb.section_m2,
-                limb.mass_per_length_kg_per_m + limb.added_mass_per_length_kg_per_m,
-                limb.drag_width_m * limb.drag_normal,
-                limb.drag_width_m * limb.drag_tangential,
+                limb.modulus_rest_pa * limb.section_m2 * width,
+                limb.mass_per_length_kg_per_m * width + limb.added_mass_per_length_kg_per_m * width**2,
+                limb.drag_width_m * limb.drag_normal * width,
+                limb.drag_width_m * limb.drag_tangential * width,
             )
-            for pair in pairwise(nodes)
+            for pair, width in zip(pairwise(nodes), widths, strict=True)
         ]
         self.bends.append(_Bend((clamp, root, nodes[1]), limb.root_stiffness_ratio * bending))
         gain = limb.modulus_active_pa / limb.modulus_rest_pa - 1.0
         self.bends += [
-            _Bend((nodes[j - 1], nodes[j], nodes[j + 1]), bending, gain, index, limb.rest_curvature_per_m)
+            _Bend(
+                (nodes[j - 1], nodes[j], nodes[j + 1]),
+                bending * (1.0 + (limb.tip_stiffness_ratio - 1.0) * j / limb.segments),
+                gain,
+                index,
+                limb.rest_curvature_per_m,
+            )
             for j in range(1, limb.segments)
         ]
         self.order += nodes[:0:-1]  # tip to root: each node then couples to two others only

@@ -178,7 +178,7 @@ class Robot:
             x2, y2 = self.frame.corners_m[(i + 1) % len(self.frame.corners_m)]
             perimeter += ((x2 - x) ** 2 + (y2 - y) ** 2) ** 0.5
         limbs = sum(
-            limb.length_m * limb.with_egain(self.egain_percent).mass_per_length_kg_per_m
+            limb.length_m * limb.with_egain(self.egain_percent).mass_per_length_kg_per_m * limb.width_at(0.5)
             for limb in self.limbs
         )
         return perimeter * self.frame.mass_per_length_kg_per_m + limbs

@@ -109,6 +109,13 @@ class Limb:
     egain_mass_ratio: Annotated[NotNegative, key(
         "mass for each m that a limb of EGaIn alone would have more, over mass_per_length_kg_per_m"
     )] = 0.0  # fmt: skip
+    tip_width_ratio: Annotated[float, key(
+        "width at the tip over that at the root: drag and mass go with it, added mass with its square",
+        gt=0.0, le=10.0,
+    )] = 1.0  # fmt: skip
+    tip_stiffness_ratio: Annotated[float, key(
+        "bending stiffness at the tip over that at the root, linear in between", gt=0.0, le=10.0
+    )] = 1.0  # fmt: skip
     egain_percent: Annotated[float | None, key(
         "the alloy of this limb, as in its [[profile]]; without it that of the robot", ge=0.0, le=100.0
     )] = None  # fmt: skip
@@ -117,6 +124,10 @@ class Limb:
     # that the tip leaves behind; see frogkick.der.plates
     plate_mass_per_length_kg_per_m: float = 0.0
     tip_shedding: float = 0.0
+
+    def width_at(self, share: float) -> float:
+        """The width at a share of the length from the root, over that at the root."""
+        return 1.0 + (self.tip_width_ratio - 1.0) * share
 
     def with_egain(self, percent: float) -> Limb:
         """The limb with the mass that EGaIn gives it: its own per cent by volume, or else this."""

@@ -96,7 +96,7 @@ def test_who_gives_more_points_is_told_what_becomes_of_them(tmp_path: pathlib.Pa
         ("0,0\n1e308,0\n-1e308,1\n", "point 1 lies at .1e.308, 0. m, the limit is 1000 m"),
         ("x,y,tangent_rad\n0,0,45\n1,1,45\n2,2,30\n", "up to 45, .* degrees off .*: give radians"),
         ("x,y,tangent_rad\n0,0,45\n", "1 point"),
-        ("0,0\n450,0\n", "450 m, more than 50 m: columns are in metres, are these mm"),
+        ("0,0\n450,0\n", "450 m, more than 50 m: coordinates are in metres, are these mm"),
     ],
 )
 def test_bad_files(tmp_path: pathlib.Path, text: str, message: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pathlib
 import tracemalloc
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -132,7 +133,10 @@ def test_distance_never_exceeds_that_to_points(points: list[tuple[float, float]]
     assert np.all(to_line >= to_points - 0.02)  # half the widest spacing
 
 
-@given(st.lists(st.tuples(COORDINATE, COORDINATE), min_size=2, max_size=12), st.booleans())
+NEAR = st.floats(-1.0, 1.0, allow_nan=False)  # so that no path is longer than one may be
+
+
+@given(st.lists(st.tuples(NEAR, NEAR), min_size=2, max_size=12), st.booleans())
 @settings(max_examples=80, deadline=None)
 def test_waypoints_give_an_even_path_through_them(points: list[tuple[float, float]], smooth: bool) -> None:
     given_points = np.asarray(points, dtype=np.float64)
@@ -188,6 +192,22 @@ def test_a_waypoint_that_differs_by_rounding_is_a_repeat() -> None:
 def test_bad_waypoints(points: list[tuple[float, ...]], text: str) -> None:
     with pytest.raises(InputError, match=text):
         from_waypoints(points)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: from_waypoints([(0, 0), (300, 200)]),
+        lambda: line(450.0),
+        lambda: sine(450.0),
+        lambda: shape("eight", 600.0),
+        lambda: Path([0.0, 450.0], [0.0, 0.0], [0.0, 0.0]),  # type: ignore[arg-type]
+        lambda: Path.from_arrays([0, 300], [0, 200], [0, 0]),
+    ],
+)
+def test_millimetres_are_refused_wherever_a_path_is_made(made: Callable[[], Path]) -> None:
+    with pytest.raises(InputError, match=r"m, more than 50 m: coordinates are in metres, are these mm\?"):
+        made()
 
 
 def test_bad_arrays() -> None:

@@ -17,9 +17,6 @@ from frogkick.core.poses import wrap_angle
 from frogkick.paths.path import POINTS_MAX, Path
 from frogkick.paths.shapes import from_waypoints
 
-LENGTH_MAX_M = 50.0
-"""A longer path is likely to be in mm."""
-
 # Header names that are taken, and what they mean.
 _NAMES = {
     "x": "x", "x_m": "x", "y": "y", "y_m": "y", "dx": "dx", "dx/ds": "dx", "dy": "dy", "dy/ds": "dy",
@@ -45,11 +42,6 @@ def from_csv(file: pathlib.Path | str, tell: Callable[[str], None] = lambda _lin
             number, a tangent without length, one point, no length, or a length that is likely in mm.
     """
     path, points_m = _read(file)
-    if path.length_m > LENGTH_MAX_M:
-        raise InputError(
-            f"path file {pathlib.Path(file).name!r} is a path of {path.length_m:.4g} m, more than "
-            f"{LENGTH_MAX_M:g} m: columns are in metres, are these mm?"
-        )
     if len(points_m) > POINTS_MAX:
         off_mm = 1e3 * float(path.distance_m(points_m).max())
         tell(

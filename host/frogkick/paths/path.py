@@ -21,6 +21,8 @@ AT_ONCE = 4096
 """Points whose distances from a path are computed at once."""
 # The planner refuses a position beyond this (FK_ERROR_RANGE), so a path may not lead there.
 COORDINATE_MAX_M = 1000.0
+LENGTH_MAX_M = 50.0
+"""A longer path is likely to be in mm."""
 
 
 def require_points(name: str, count: int) -> None:
@@ -63,8 +65,8 @@ class Path:
         name: for reports.
 
     Raises:
-        InputError: fewer than two points, more than 100, lengths that differ, a value that is not finite or
-            too large, or no length.
+        InputError: fewer than two points, more than 100, columns that differ in length, a value that is not
+            finite or too large, or a path without length or longer than 50 m, which is likely to be in mm.
     """
 
     x_m: Float32
@@ -94,6 +96,11 @@ class Path:
             object.__setattr__(self, column, stored)
         if self.length_m == 0.0:
             raise no_length(self.name, x.size)
+        if self.length_m > LENGTH_MAX_M:
+            raise InputError(
+                f"path {self.name!r} has a length of {self.length_m:.4g} m, more than {LENGTH_MAX_M:g} m: "
+                "coordinates are in metres, are these mm?"
+            )
 
     def __repr__(self) -> str:
         return f"Path({self.name!r}: {len(self)} points, {1e3 * self.length_m:.0f} mm)"

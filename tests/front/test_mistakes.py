@@ -63,13 +63,13 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda _: fk.build_library("frog2022", 10, 2**63),
         "a whole number below 2^63",
     ),
-    "a library of a robot with a replaced value": (
-        lambda robot: fk.build_library(replace(robot, pulse_s=0.07), 2),
-        "robot 'frog2022' has other values than its text",
+    "a library of a robot with a replaced value that is out of range": (
+        lambda robot: fk.build_library(replace(robot, pulse_s=-0.07), 2),
+        "robot 'frog2022' with replaced values: pulse_s is '-0.07'",
     ),
-    "the table of a robot with a replaced value": (
-        lambda robot: fk.load_table(robot=replace(robot, pulse_s=0.07)),
-        "robot 'frog2022' has other values than its text",
+    "the table of a robot with such a value": (
+        lambda robot: fk.load_table(robot=replace(robot, pulse_s=-0.07)),
+        "robot 'frog2022' with replaced values: pulse_s is '-0.07'",
     ),
     "a number as a sampling": (lambda _: fk.build_library("frog2022", 10, sampling=5), "sampling"),
     "a number as a target": (lambda _: fk.connect(5).__enter__(), "5"),

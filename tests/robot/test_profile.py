@@ -113,6 +113,42 @@ def test_a_measured_stroke_becomes_a_robot_s_profile(
     assert drop == pytest.approx(k[0] - k.min(), abs=3.0)
 
 
+def test_a_stroke_that_ends_a_picture_early_serves_its_period(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0 to 2.49167 s at 120 pictures a second: 0.4013 Hz, and the robot's period is 2.5 s."""
+    files = []
+    for name, period_s in (("slow", 2.5), ("fast", 0.8)):
+        t = np.arange(0.0, period_s, 1.0 / 120.0)
+        k = 60.0 - 48.0 * (1.0 - np.exp(-((t / 0.06) ** 2))) * np.where(
+            t < 0.16, 1.0, np.exp(-(t - 0.16) / (0.18 * period_s))
+        )
+        files.append(csv_of(tmp_path / f"{name}.csv", time_s=t, curvature_per_m=k))
+    out, mine = tmp_path / "strokes.toml", tmp_path / "mine.toml"
+    keys = 'base = "frog2022"\nprofiles_file = "strokes.toml"\negain_percent = 0.0\nperiod_s = 2.5\n'
+
+    def fitted(*more: str) -> list[float]:
+        done = frogkick(capsys, "robot", "fit-stroke", *files, "--out", out, *more, "--json")
+        assert done.code == 0, done.stderr
+        return [row["frequency_hz"] for row in done.json["profiles"]]
+
+    assert fitted() == [0.4013, 1.263]
+    mine.write_text(f"{keys}profile_frequency_hz = 0.4\n")
+    early = load_robot(mine).actuation()
+    assert load_robot(mine).at_period(0.8).actuation().duration_s == pytest.approx(0.8, rel=0.02)
+    for far_hz in (0.39, 1.3):
+        mine.write_text(f"{keys}profile_frequency_hz = {far_hz}\n")
+        with pytest.raises(InputError, match=r"measured are 0 %: 0\.4013-1\.263 Hz"):
+            load_robot(mine)
+    assert fitted("--frequency-hz", "0.4", "--frequency-hz", "1.25") == [0.4, 1.25]
+    mine.write_text(f"{keys}profile_frequency_hz = 0.4\n")
+    exact = load_robot(mine).actuation()
+    assert (early.duration_s, early.drop_per_m) == (exact.duration_s, exact.drop_per_m)
+    refused = frogkick(capsys, "robot", "fit-stroke", *files, "--out", out, "--frequency-hz", "0.4")
+    assert refused.code == 2
+    assert "2 stroke files and 1 frequencies: give --frequency-hz once for each file" in refused.stderr
+
+
 @pytest.mark.parametrize(
     ("text", "more", "says"),
     [

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+import pickle
+import re
 import tomllib
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from frogkick.core.errors import InputError
-from frogkick.robot import load_robot, parse_robot
+from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.robot.load import BUILT_IN
 from frogkick.robot.toml_text import to_toml
 
@@ -42,6 +46,56 @@ def test_the_paper_robot_is_as_published() -> None:
 def test_canonical_text_reads_back_to_the_same_robot() -> None:
     again = parse_robot(ROBOT.toml, source="text")
     assert again == ROBOT
+
+
+@pytest.mark.parametrize("name", ["frog2022", "frog2022-measured", "frog2022-sim", "hexapod"])
+def test_replaced_values_are_those_that_are_saved(name: str, tmp_path: Path) -> None:
+    robot = load_robot(name)
+    limb = replace(robot.limbs[0], length_m=0.034, direction_rad=0.5)
+    changes: dict[str, Any] = {
+        "period_s": 1.3,
+        "water_density_kg_per_m3": 1030.0,
+        "gait_lead_mask": 1,
+        "limbs": (limb, *robot.limbs[1:]),
+        "actions": robot.actions[:3],
+        "profiles": tuple(replace(each, rms_per_m=1.0) for each in robot.profiles),
+        "library_box": replace(robot.library_box, omega_rad_s=(-0.25, 0.25)),
+        "guard": replace(robot.guard, duty_max=0.09),
+        "planner": replace(robot.planner, depth=2),
+        "battery": None,
+        "effects": ({"name": "limb_wear", "limb": robot.limbs[1].name, "gain": 0.7},),
+    }
+    for some in ([each] for each in changes):
+        changed = replace(robot, **{key: changes[key] for key in some})
+        changed.save(tmp_path / "changed.toml")
+        again = load_robot(tmp_path / "changed.toml")
+        assert again == changed and again.sha256 == changed.sha256, some
+        assert (changed.sha256 == robot.sha256) == (changed == robot), some
+        assert load_robot(changed) == again and pickle.loads(pickle.dumps(changed)).toml == again.toml
+    every = replace(robot, **changes)
+    assert load_robot(every) == every
+    assert replace(every, **{key: getattr(robot, key) for key in changes}).toml == robot.toml
+    assert load_robot(robot) is robot
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda robot: replace(robot, pulse_s=-1.0), "with replaced values: pulse_s is '-1.0'"),
+        (lambda robot: replace(robot, pulse_s=70.0), "is the number in ms"),
+        (
+            lambda robot: replace(robot, limbs=(replace(robot.limbs[0], tip_shedding=0.5), *robot.limbs[1:])),
+            "limbs.tip_shedding is 0.5: no file holds it",
+        ),
+    ],
+)
+def test_replaced_values_that_no_file_can_have_are_refused(
+    change: Callable[[Robot], Robot], says: str, tmp_path: Path
+) -> None:
+    for use in (load_robot, lambda robot: robot.save(tmp_path / "robot.toml")):
+        with pytest.raises(InputError, match=re.escape(says)):
+            use(change(ROBOT))
+    assert not list(tmp_path.iterdir())
 
 
 def test_comments_do_not_change_the_hash_and_values_do() -> None:

@@ -153,7 +153,9 @@ def fit_stroke(
     out: Annotated[Path, "TOML file to write, for the key profiles_file of a robot."],
     egain_percent: Annotated[float, "EGaIn fraction of the limb's alloy, %.", opt.With(0.0, 100.0)] = 0.0,
     frequency_hz: Annotated[
-        float | None, "Strokes per second; default: one over the last time of each file."
+        list[float] | None,
+        "Strokes per second of a file, given once for each file in their order; default: one over the last "
+        "time of each.",
     ] = None,
     length_m: Annotated[float | None, "Length of the limb, needed if its tip was tracked."] = None,
     picture: Annotated[Path | None, "PNG to write, of the measured strokes and the fits."] = None,

@@ -143,7 +143,7 @@ def fit_strokes(
     files: Sequence[Path | str],
     *,
     egain_percent: float = 0.0,
-    frequency_hz: float | None = None,
+    frequency_hz: Sequence[float] | None = None,
     length_m: float | None = None,
 ) -> FittedStrokes:
     """Fit limb profiles to measured strokes, a CSV file for each frequency.
@@ -151,7 +151,13 @@ def fit_strokes(
     The arguments are the options of the command ``robot fit-stroke``.
     """
     strokes = [read_stroke(file, length_m) for file in files]
-    profiles = [fit_stroke(stroke, egain_percent, frequency_hz) for stroke in strokes]
+    known_hz: Sequence[float | None] = frequency_hz or [None] * len(strokes)
+    if len(known_hz) != len(strokes):
+        raise InputError(
+            f"{len(strokes)} stroke files and {len(known_hz)} frequencies: give --frequency-hz once for each "
+            "file, in their order, or leave it out"
+        )
+    profiles = [fit_stroke(stroke, egain_percent, hz) for stroke, hz in zip(strokes, known_hz, strict=True)]
     order = sorted(range(len(strokes)), key=lambda index: profiles[index].frequency_hz)
     for one, other in itertools.pairwise(order):
         if profiles[one].frequency_hz == profiles[other].frequency_hz:

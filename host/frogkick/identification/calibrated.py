@@ -64,7 +64,7 @@ def calibrated_starts(robot: Robot) -> dict[str, tuple[Term, ...]]:
     Their planners may differ.
     """
     found = {}
-    apart = ("title", "planner", "effects", "toml", "sha256", "folder")
+    apart = ("title", "planner", "effects", "folder")
     for name in built_in_robots():
         other = load_robot(name)
         plain = replace(other, **{key: getattr(robot, key) for key in apart})

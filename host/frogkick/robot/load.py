@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import tomllib
@@ -18,8 +17,9 @@ from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
 from frogkick.robot.geometry import require_geometry
-from frogkick.robot.model import Action, Robot
+from frogkick.robot.model import Action, Loaded, Robot
 from frogkick.robot.profile import HalvesProfile, Profile
+from frogkick.robot.rewriting import rewritten
 from frogkick.robot.schema import (
     ABOUT,
     ACTION_NAME_MAX,
@@ -82,12 +82,15 @@ def built_in_robots() -> tuple[str, ...]:
 def load_robot(name_or_path: Robot | str | Path) -> Robot:
     """Read a built-in robot ("frog2022") or a TOML file; a ``Robot`` is returned as it is.
 
+    One whose values were replaced (``dataclasses.replace``) is read anew from its text, and so checked.
+
     Raises:
         InputError: no such robot, not TOML, an unknown key, a value out of its range, or parts that do not
             fit together.
     """
     if isinstance(name_or_path, Robot):
-        return name_or_path
+        robot = name_or_path
+        return parse_robot(robot.toml, f"robot {robot.id!r}", robot.folder) if robot.changed else robot
     text = str(name_or_path)
     if text in built_in_robots():
         path = BUILT_IN / f"{text}.toml"
@@ -393,8 +396,13 @@ def _robot(file: RobotFile, folder: Path | None) -> Robot:
         battery=_battery(file.battery),
         effects=tuple(dict(table) for table in file.effect),
         folder=folder,
-        toml=text,
-        sha256=hashlib.sha256(text.encode("utf-8")).digest(),
+        loaded=Loaded(text, _rewritten),
     )
     robot.strokes()  # raises if a profile of the actions is missing
     return robot
+
+
+def _rewritten(robot: Robot) -> str:
+    """The canonical text of a robot whose values were replaced."""
+    source = f"robot {robot.id!r} with replaced values"
+    return parse_robot(rewritten(robot, source), source, robot.folder).toml

@@ -8,8 +8,9 @@ import math
 import os
 import string
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,21 @@ def in_a_row(names: Sequence[str]) -> str:
     return ("" if all(len(name) == 1 for name in names) else " ").join(names)
 
 
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """What a robot was loaded from.
+
+    Attributes:
+        text: the canonical text.
+        write: gives the canonical text of a robot with other values.
+        values: of the robot's attributes then.
+    """
+
+    text: str
+    write: Callable[[Robot], str]
+    values: dict[str, Any] = field(default_factory=dict)
+
+
 @typed
 @dataclass(frozen=True, repr=False)
 class Robot:
@@ -108,10 +124,10 @@ class Robot:
         integrator: key of frogkick.der.stepping.SCHEMES, the method of the time steps.
         drag_law: whether drag goes with the square of each component of the velocity, or with the speed.
         battery: of the limbs; None if its file has none.
+        found_from: id of the robot from whose runs its effects were found; "" if they were not.
         effects: tables of its effects in its file (see frogkick.effects.effects_of).
+        loaded: what it was loaded from.
         folder: folder of its own effects' files; None if the text has no folder.
-        toml: the canonical text; load_robot reads it back to the same robot.
-        sha256: of that text, 32 bytes.
     """
 
     id: str
@@ -133,13 +149,36 @@ class Robot:
     library_box: VelocityBox
     guard: Guard
     planner: PlannerDefaults
-    toml: str
-    sha256: bytes
+    loaded: Loaded = field(compare=False)
     integrator: str = "generalised-alpha"
     drag_law: str = "component"
     battery: Battery | None = None
+    found_from: str = ""
     effects: tuple[Mapping[str, Any], ...] = ()
     folder: Path | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.loaded.values:  # of the first one; those that are made of it by replace share it
+            self.loaded.values.update({at.name: getattr(self, at.name) for at in fields(self) if at.compare})
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Names of the attributes that ``dataclasses.replace`` has changed since the robot was loaded."""
+        return tuple(name for name, was in self.loaded.values.items() if getattr(self, name) != was)
+
+    @cached_property
+    def toml(self) -> str:
+        """The canonical text, with values that were replaced; load_robot reads it back to the same robot.
+
+        Raises:
+            InputError: a replaced value is out of its range, or no file can hold it.
+        """
+        return self.loaded.write(self) if self.changed else self.loaded.text
+
+    @cached_property
+    def sha256(self) -> bytes:
+        """Hash of that text, 32 bytes."""
+        return hashlib.sha256(self.toml.encode("utf-8")).digest()
 
     def __repr__(self) -> str:
         return (
@@ -169,6 +208,10 @@ class Robot:
                     row["file"] = os.path.relpath(self.folder / str(row["file"]), target.resolve().parent)
             text = to_toml(table)
         write_text(target, text)
+
+    def swam(self, robot_id: str) -> bool:
+        """Whether the runs of this id are the robot's."""
+        return robot_id in (self.id, self.found_from)
 
     @property
     def mass_kg(self) -> float:
@@ -259,15 +302,7 @@ class Robot:
             return self
         self.strokes(frequency_hz=1.0 / period_s)
         period_s, frequency_hz = float(period_s), 1.0 / float(period_s)
-        table = tomllib.loads(self.toml) | {"period_s": period_s, "profile_frequency_hz": frequency_hz}
-        text = to_toml(table)
-        return replace(
-            self,
-            period_s=period_s,
-            profile_frequency_hz=frequency_hz,
-            toml=text,
-            sha256=hashlib.sha256(text.encode()).digest(),
-        )
+        return replace(self, period_s=period_s, profile_frequency_hz=frequency_hz)
 
     @property
     def action_codes(self) -> tuple[str, ...]:

@@ -22,6 +22,9 @@ from frogkick.robot.toml_text import to_toml
 
 TERMS = 3  # one heating, two cooling: two terms leave 2.0 1/m RMS at worst, four gain 0.16 on average
 DIGITS_HZ = 9  # decimal places in which frequencies are compared
+FREQUENCY_SAME = 0.02
+"""Relative difference up to which the lowest and the highest measured frequency stand for others: a recording
+that ends one picture before its period has a frequency that is too high by some 1 %."""
 SAMPLE_S = 0.0001  # linear interpolation at this step errs by less than 5e-6 of the activation
 
 
@@ -274,7 +277,8 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
 
     Between two frequencies the drops of the curvature are interpolated at equal times since the pulse, over
     the cycle 1 / frequency; a profile that has ended counts as rest, and the rest at the cycle's end is
-    removed by a ramp. The same holds between EGaIn fractions.
+    removed by a ramp. The same holds between EGaIn fractions. A frequency outside of the measured ones is
+    the nearest of them up to ``FREQUENCY_SAME``.
     """
     wanted_hz = round(float(frequency_hz), DIGITS_HZ)
     fractions = sorted({p.egain_percent for p in profiles})
@@ -291,7 +295,9 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
     for egain, egain_weight in ((pair[0], 1.0 - pair[2]), (pair[1], pair[2])):
         if egain_weight == 0.0:
             continue
-        between = _brackets(covered[egain], wanted_hz)
+        nearest_hz = min(max(wanted_hz, covered[egain][0]), covered[egain][-1])
+        near = abs(nearest_hz - wanted_hz) <= FREQUENCY_SAME * wanted_hz
+        between = _brackets(covered[egain], nearest_hz) if near else None
         if between is None:
             raise error
         for hz, weight in ((between[0], 1.0 - between[2]), (between[1], between[2])):

@@ -23,6 +23,7 @@ from frogkick.robot.profile import Profile
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Pair = tuple[float, float]
+ID_MAX = 15
 ACTION_NAME_MAX = 20
 ACTIONS_MAX = 32
 """As many as a table image has room for."""
@@ -277,7 +278,7 @@ class RobotFile(_Table):
     id: str = key(
         "1 to 15 letters, digits, - or _; tables, firmware and logs carry it",
         min_length=1,
-        max_length=15,
+        max_length=ID_MAX,
         pattern=r"^[A-Za-z0-9_\-]+$",
     )
     title: str = key("for people", min_length=1, max_length=200)
@@ -312,6 +313,11 @@ class RobotFile(_Table):
     planner: PlannerTable
     profile: Annotated[list[ProfileTable], Field(min_length=1)]
     battery: BatteryTable | None = None
+    found_from: str = key(
+        "id of the robot whose runs these effects were found from; its runs are taken for this robot's",
+        "",
+        max_length=ID_MAX,
+    )
     effect: list[dict[str, str | bool | int | float | dict[str, dict[str, str | int | float]]]] = []
 
 

@@ -34,7 +34,7 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
         InputError: ``limbs`` is not 1 to LIMBS_MAX.
     """
     table = RobotFile.model_validate(tomllib.loads(base.toml)).model_dump(mode="json", exclude_none=True)
-    del table["effect"]  # measured on another robot, as the energy of a pulse
+    del table["effect"], table["found_from"]  # measured on another robot, as the energy of a pulse
     table["pulse_energy_j"] = table.get("pulse_energy_j", 0.0)
     if limbs is not None and not 1 <= limbs <= LIMBS_MAX:
         raise InputError(f"--limbs is {limbs}: give 1 to {LIMBS_MAX}, which a table has room for")

@@ -361,6 +361,5 @@ def fit_own_table(library: Library, image: Path) -> None:
 
 
 def _with_planner_of(other: Robot, robot: Robot) -> Robot:
-    """Return a robot with the planner of another one, which does not affect a library, and without its
-    text."""
-    return dataclasses.replace(robot, planner=other.planner, toml="", sha256=b"")
+    """Return a robot with the planner of another one, which does not affect a library."""
+    return dataclasses.replace(robot, planner=other.planner)

@@ -387,7 +387,7 @@ def test_a_table_in_memory_takes_the_robot_that_is_given(table: fk.Table, robot:
     )
     assert fk.load_table(table).robot is table.robot
     used = fk.load_table(table, deeper)
-    assert used.robot is deeper and used.image == table.image and used.tables.actions == table.tables.actions
+    assert used.robot == deeper and used.image == table.image and used.tables.actions == table.tables.actions
     with pytest.raises(fk.InputError, match="this robot is 'hexapod'"):
         fk.load_table(table, "hexapod")
 

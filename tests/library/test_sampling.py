@@ -7,12 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.conftest import count, from_ci
+from tests.identification.made import robot
 
 from frogkick.core.errors import InputError
-from frogkick.library import Library, sample_library, sample_starts
-from frogkick.library.sampling import box_velocities
-from frogkick.library.transitions import HISTORY, RESTED
-from frogkick.robot import load_robot, mirror_of
+from frogkick.effects import rods_of
+from frogkick.library import Library, error_on, fit_table, sample_library, sample_starts, sampling
+from frogkick.library.sampling import RUNS, VisitedStates, box_velocities
+from frogkick.library.store import library_of
+from frogkick.library.transitions import HISTORY, RESTED, simulate_task
+from frogkick.robot import Robot, load_robot, mirror_of
+from frogkick.tables.image import open_image
 
 ROBOT = load_robot("frog2022")
 MIRROR = mirror_of(ROBOT)
@@ -125,3 +129,50 @@ def test_a_robot_without_a_mirror_image_is_sampled_without_pairs() -> None:
 def test_an_unknown_sampling_is_refused() -> None:
     with pytest.raises(InputError, match="visited"):
         sample_starts(ROBOT, 10, 3, "visitd")
+
+
+def worn() -> Robot:
+    """A robot without a mirror image that turns less to one side."""
+    return replace(robot(), effects=({"name": "limb_wear", "limb": "front_left", "gain": 0.65},))
+
+
+def test_states_of_runs_come_first_then_planned_and_held_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampling, "_FIRST_TABLE_STATES", 16)
+    runs = [[6] * 12, [1, 4] * 6]
+    starts = sample_starts(worn(), 40, 0, RUNS, swims=runs)
+    assert len(starts) == 40
+    done = [
+        tuple(task.actions[swim, :stroke].tolist())
+        for task in starts.tasks
+        for swim, stroke in np.argwhere(task.wanted)
+    ]
+    assert len(set(done)) == 40, "each of them once"
+    of_runs = {tuple(run[:stroke]) for run in runs for stroke in range(len(run))}
+    assert 15 <= len(of_runs & set(done)) <= 24, "up to half of the states, from all parts of the runs"
+    assert any(len(each) > 8 and set(each) == {6} for each in done)
+    assert len(sample_starts(worn(), 40, 0, RUNS)) == 40, "a robot that has not swum"
+
+
+@from_ci
+def test_a_table_has_the_turn_that_a_run_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A planner that makes up for a worn limb holds one action for dozens of strokes, unlike random ones."""
+    held = [[6] * 24]
+    visited = VisitedStates(worn())
+    visited.add(held, 24)
+    starts, rods = visited.starts(), rods_of(worn())
+    there = library_of(
+        worn(), "runs", 0, starts.unfolded([simulate_task(rods, task) for task in starts.tasks])
+    )
+    errors = []
+    for kind in ("visited", RUNS):
+        drawn = sample_starts(worn(), 64, 0, kind, swims=held)
+        made = drawn.unfolded([simulate_task(rods, task) for task in drawn.tasks])
+        image = fit_table(library_of(worn(), kind, 0, made), "affine").image
+        errors.append(error_on(open_image(image), there)["position_m"])
+    assert errors[1] < 0.3 * errors[0] and errors[1] < 1e-4, errors
+
+
+def test_a_robot_with_one_action_is_told_that_it_has_few_states() -> None:
+    one = replace(ROBOT, actions=ROBOT.actions[:1])
+    with pytest.raises(InputError, match="visit 12 different states, wanted are 50: give fewer --states"):
+        sample_starts(one, 50, 0, "visited")

@@ -142,14 +142,14 @@ def retune(
             help="The robot's last runs: logs, or recorded runs (.csv). The last one is the test run."
         ),
     ],
-    robot: Annotated[
-        str,
-        "TOML file or built-in name that the robot's table was made from.",
-        opt.With(names=opt.FILE),
-    ],
     out: Annotated[
         Path, "New folder for the robot's TOML file, library, table and firmware.", opt.With(folder=True)
     ],
+    robot: Annotated[
+        str | None,
+        "TOML file or built-in name that the robot's table was made from; default: the robot in the logs.",
+        opt.With(names=opt.FILE),
+    ] = None,
     tables: Annotated[
         Path | None, "Table image that the robot carries (.fkt), to compare with; default: made from --robot."
     ] = None,
@@ -169,7 +169,8 @@ def retune(
 ) -> Result:
     """Make a new table for a worn robot.
 
-    The exit code is 1 if the new table is no better on held-out periods, or if the runs are too short.
+    The exit code is 1 if the new table predicts held-out periods no better, if paths are followed worse with
+    it in a simulated pool with the identified effects, or if the runs are too short.
     """
     from frogkick.front.retuning import TABLES, retune
 
@@ -189,7 +190,14 @@ def printed(made: Retuning, push: str | None = None) -> str:
     lines += _effect_lines(made.outcome)
     for name, error in (("old", made.before), ("new", made.after)):
         if error.count:
-            lines.append(f"{name} table: {error} RMS one period ahead ({error.count} periods)")
+            lines.append(
+                f"{name} table, held-out periods: {error} RMS one period ahead ({error.count} periods)"
+            )
+    for name, error in zip(("old", "new"), made.on_runs or (), strict=False):
+        lines.append(
+            f"{name} table, states of all runs: {error} RMS from the rods with the identified effects "
+            f"({error.count} periods)"
+        )
     if made.loop is not None:
         for name, tracked in zip(("old", "new"), made.loop, strict=True):
             lines.append(

@@ -176,14 +176,15 @@ def build_table(
     ] = None,
     out: Annotated[Path, "Table image to write (.fkt)."] = Path("tables.fkt"),
     test_states: Annotated[int, "Number of unseen states to measure the error on.", opt.With(4, 10000)] = 64,
+    sampling: opt.Unseen = opt.Sampling.planned,
     seed: opt.Seed = 1,
 ) -> Result:
-    """Make a table image, and measure its error on states that are not in it."""
+    """Make a table image, and measure its error on states that are not in it, as 'tables info' does."""
     content = fk.load_library(library)
     table = fk.fit_table(content, kind.value if kind else None, budget_kib, progress=True)
-    error = table.error(test_states, seed, content.sampling, progress=True)
+    error = table.error(test_states, seed, sampling.value, progress=True)
     save(table.save, out)
-    return Result({**table.facts(), "error": error, "sampling": content.sampling, "out": str(out)})
+    return Result({**table.facts(), "error": error, "sampling": sampling.value, "out": str(out)})
 
 
 def show_table(
@@ -196,7 +197,7 @@ def show_table(
     test_states: Annotated[
         int, "Number of unseen states to measure the error on; 0: do not measure it.", opt.With(0, 10000)
     ] = 64,
-    sampling: opt.Unseen = opt.Sampling.box,
+    sampling: opt.Unseen = opt.Sampling.planned,
     seed: opt.Seed = 1,
 ) -> Result:
     """Check a table image, show its contents, and measure its error on unseen states."""

@@ -85,6 +85,12 @@ RobotFile = Annotated[str, "TOML file or built-in name.", With(names=FILE)]
 Model = Annotated[
     str | None, "Robot TOML file or built-in name; default: the table's robot.", With(names=FILE)
 ]
+Swimmer = Annotated[
+    str | None,
+    "Robot TOML file or built-in name; default: the table's robot. The planner believes what its table was "
+    "made with, effects included; in a simulated pool the robot swims without the effects of its file, with "
+    "those of --world.",
+]
 Laws = Annotated[
     bool,
     "If residuals above the noise remain with the catalogue, search formulas as well: springs, sloshing, "
@@ -93,11 +99,15 @@ Laws = Annotated[
 ]
 Nominal = Annotated[
     str | None,
-    "Nominal robot, as TOML file or built-in name; default: the robot of the runs.",
+    "Nominal robot, as TOML file or built-in name; default: the robot in the logs.",
     With(names=FILE),
 ]
 
-Unseen = Annotated[Sampling, "How the unseen states are drawn, as for 'library build'."]
+Unseen = Annotated[
+    Sampling,
+    "Unseen states that the error is measured on, drawn as by 'library build'. planned: where the planner "
+    "leads the robot; visited: where random strokes lead it; box: any velocity, also those that no swim has.",
+]
 World = Annotated[Path | None, "TOML file of effects that act in the pool but are in no model."]
 
 

@@ -46,7 +46,7 @@ def _lines() -> Iterator[list[str]]:
 
 def serve_pool(
     tables: opt.Tables = None,
-    model: opt.Model = None,
+    model: opt.Swimmer = None,
     virtual: Annotated[
         bool, "Run the robot's firmware on the virtual chip, instead of its C core on this computer."
     ] = False,

@@ -131,7 +131,7 @@ def run(
         "calibration that --fixes gives.",
     ] = None,
     tables: opt.Tables = None,
-    model: Annotated[str | None, "Robot TOML file or built-in name; default: the table's robot."] = None,
+    model: opt.Swimmer = None,
     simulated_time: Annotated[
         float, "Time limit of the run in pool time, s; for a real robot in real time."
     ] = 120.0,

@@ -16,14 +16,14 @@ from frogkick.core.arguments import typed
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import in_stages, progress_bar
-from frogkick.front.logs import Run, run_of
+from frogkick.front.logs import Run, robot_of, run_of
 from frogkick.identification.horizons import Horizon
-from frogkick.identification.outcome import Outcome, found_toml, robot_of_runs, write_predictions
+from frogkick.identification.outcome import Outcome, found_toml, write_predictions
 from frogkick.identification.outcome import identify as find
 from frogkick.identification.segments import Segments, segments_of
 from frogkick.identification.terms import FoundEffect, Interval
 from frogkick.report.style import page_of
-from frogkick.robot import Robot, load_robot, parse_robot
+from frogkick.robot import Robot, parse_robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,9 +71,9 @@ class Identification:
 
     @cached_property
     def robot(self) -> Robot:
-        """The nominal robot with the identified effects."""
+        """The nominal robot with the identified effects, under an id of its own, as ``frog2022-found``."""
         return parse_robot(
-            found_toml(self.outcome), source="the robot found", folder=self.outcome.robot.folder
+            found_toml(self.outcome, renamed=bool(self.effects)), "the robot found", self.outcome.robot.folder
         )
 
     def report(self, file: Path | str) -> None:
@@ -154,7 +154,8 @@ def identify(
     Args:
         runs: training runs, or a single one, in memory or as files.
         test: test runs, the same; nothing is fitted to them.
-        robot: the nominal robot, its name or its TOML file; None: the robot of the runs.
+        robot: the nominal robot, its name or its TOML file; None: the one in the logs of the runs, or the
+            built-in one of their id.
         effects: a Python file with your own effects, which are tried as well.
         measured: fits of many effects may start from built-in robots that were calibrated before.
         laws: if the catalogue leaves more than noise, search formulas as well (a minute more). A formula that
@@ -182,7 +183,7 @@ def identify(
                 "was fitted, not how well it is predicted; give each run once"
             )
     logs = [logs_of(some) for some in (runs, test)]
-    described = load_robot(robot or robot_of_runs([log for some in logs for log, _name in some]))
+    described = robot_of(logs[0] + logs[1], robot)
     train, kept = ([segments_of(log, name, described) for log, name in some] for some in logs)
     require_held_out(train, kept)
     own = None if effects is None else Path(effects)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from frogkick.core.arguments import typed
 from frogkick.core.errors import EXTRAS, InputError, require
 from frogkick.core.files import require_writable
-from frogkick.core.progress import Progress, shown
+from frogkick.core.progress import Progress, shown, tell_line
 from frogkick.report.style import page_of
+from frogkick.robot import Robot, built_in_robots, load_robot, parse_robot
 from frogkick.runs import summary as summaries
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.recorded.importer import import_recorded
@@ -24,6 +26,8 @@ from frogkick.runs.summary import Comparison, Summary
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+    from frogkick.identification.segments import Segments
 
 
 @typed
@@ -170,3 +174,90 @@ def load_run(file: Path | str) -> Run:
 def run_of(given: Run | Path | str) -> Run:
     """A run in memory as it is, or read from its file; see ``load_run``."""
     return given if isinstance(given, Run) else load_run(given)
+
+
+def id_of_runs(runs: Sequence[RunLog | Segments]) -> str:
+    """Return the id of the robot of all runs.
+
+    Raises:
+        InputError: they are of several robots.
+    """
+    names = sorted({run.robot_id for run in runs})
+    if len(names) != 1:
+        raise InputError(f"the runs are of robots {', '.join(names)}: give runs of one")
+    return names[0]
+
+
+def knows_robot(run: RunLog) -> bool:
+    """Whether a log has the file of its robot."""
+    text = run.made.get("robot_toml")
+    return text is not None and tomllib.loads(text)["id"] == run.robot_id
+
+
+def robot_of(logs: Sequence[tuple[Run, str]], asked: Robot | str | None = None) -> Robot:
+    """Return the robot of some runs: the one that is asked for, else the one in their logs, else by its id.
+
+    A line on stderr says where another robot of the same id, in a log or built in, differs from it.
+
+    Raises:
+        InputError: the runs are of several robots, or their robot is not known.
+    """
+    texts = {run.made["robot_toml"]: name for run, name in logs if knows_robot(run)}
+    if asked is not None:
+        used = load_robot(asked)
+        for text, name in texts.items():
+            if differs := _differs(text, used.toml):
+                tell_line(
+                    f"frogkick: run {name!r} was made with a robot {used.id!r} whose file differs in "
+                    f"{differs} from the one that is given and used"
+                )
+        return used
+    robot_id = id_of_runs([run for run, _name in logs])
+    if not texts:
+        return load_robot(robot_id)
+    (text, name), *others = reversed(texts.items())
+    for other, its_name in others:
+        if differs := _differs(other, text):
+            raise InputError(
+                f"runs {its_name!r} and {name!r} were made with two robots {robot_id!r}, which differ in "
+                f"{differs}: give the one to use with --robot"
+            )
+    used = parse_robot(text, f"the robot in run {name!r}")
+    if any("file" in effect for effect in used.effects):
+        raise InputError(
+            f"run {name!r} was made with a robot that has an effect in a file of its own: give the robot's "
+            "file with --robot"
+        )
+    if robot_id in built_in_robots() and (differs := _differs(text, load_robot(robot_id).toml)):
+        tell_line(
+            f"frogkick: run {name!r} was made with a robot {robot_id!r} that differs in {differs} from the "
+            "built-in one: the one in the log is used"
+        )
+    return used
+
+
+_NO_MATTER = ("title", "planner", "library")  # of a robot's file: no motion depends on them
+_DIFFERENCES_NAMED = 3
+
+
+def _differs(one: str, other: str) -> str:
+    """The keys in which two robots' texts of the same id differ, for people; "" if there are none."""
+    tables, found = [tomllib.loads(text) for text in (one, other)], list[str]()
+    if tables[0]["id"] != tables[1]["id"]:
+        return ""  # it is said elsewhere whose run it is
+
+    def walk(here: Any, there: Any, where: str) -> None:
+        if isinstance(here, dict) and isinstance(there, dict):
+            for key in {**here, **there}:
+                walk(here.get(key), there.get(key), f"{where}.{key}" if where else key)
+        elif isinstance(here, list) and isinstance(there, list) and len(here) == len(there):
+            for left, right in zip(here, there, strict=True):
+                named = left.get("name") if isinstance(left, dict) else None
+                walk(left, right, f"{where}.{named}" if named else where)
+        elif here != there and where not in found:
+            found.append(where)
+
+    here, there = ({key: table[key] for key in table if key not in _NO_MATTER} for table in tables)
+    walk(here, there, "")
+    more = len(found) - _DIFFERENCES_NAMED
+    return ", ".join(found[:_DIFFERENCES_NAMED]) + (f" and {more} more keys" if more > 0 else "")

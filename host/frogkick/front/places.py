@@ -13,6 +13,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
+from frogkick.effects import World
 from frogkick.link.wire import FORMS, RobotPort
 from frogkick.paths import OTHER_SHAPES, SHAPES, from_csv, shape
 from frogkick.paths import Path as SwimPath
@@ -40,6 +41,17 @@ def require_simulator(name: str, builds: bool = True) -> None:
         )
     if builds:
         require_tools(SIMULATED[name])
+
+
+def tell_effects_left_out(robot: Robot, world: World) -> None:
+    """Say on stderr that a pool without effects is not that of a model which has some."""
+    if robot.effects and not world.effects:
+        names = ", ".join(dict.fromkeys(str(effect["name"]) for effect in robot.effects))
+        tell_line(
+            f"frogkick: the model {robot.id!r} has effects ({names}), and the pool has none: the robot swims "
+            "there without them, and the planner believes what its table was made with; write them into a "
+            "file for --world to have them in the pool"
+        )
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown, tell_line
 from frogkick.front import places
-from frogkick.front.logs import Run, run_of
+from frogkick.front.logs import Run, knows_robot, robot_of, run_of
 from frogkick.front.robots import connect, require_target
 from frogkick.front.tables import Table, default_tables, load_table, table_image
 from frogkick.link.log import fetch_log as fetch_bytes
@@ -89,7 +89,7 @@ def replay(
             has them, else the paper's.
         depth: of the planner's search, 1 to 4; None: the planner's own.
         robot: "virtual" (the firmware on the virtual chip) or "pool" (the C core on this computer).
-        model: the robot, its name or its TOML file; None: that of the table.
+        model: the robot, its name or its TOML file; None: the one in the run's log, or that of the table.
         progress: of the decisions: True for a bar, or a function of (done, all).
 
     Raises:
@@ -106,6 +106,8 @@ def replay(
             f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {asked.id!r}: give "
             "its robot with --model"
         )
+    if asked is not None or knows_robot(recorded):
+        asked = robot_of([(recorded, recorded.source)], asked)
     used = load_table(default_tables(asked or recorded.robot_id) if table is None else table, asked)
     used.tables.require_robot(recorded.robot_id)
     described = used.robot

@@ -21,7 +21,21 @@ from frogkick.core.files import UnwritableError, require_writable, save_result, 
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, Stage, in_stages, shown
 from frogkick.front.identifying import Given, LeftOut, logs_of, require_held_out
-from frogkick.front.retune_tables import PERIOD_OFF, Lost, TableMaker, Tracked, table_error, table_horizons
+from frogkick.front.logs import robot_of
+from frogkick.front.retune_tables import (
+    PERIOD_OFF,
+    SHAPES_SUIT_M,
+    Lost,
+    TableMaker,
+    Tracked,
+    error_on_runs,
+    longest_stroke_m,
+    paths_of,
+    swims_of,
+    table_error,
+    table_horizons,
+)
+from frogkick.front.retune_verdict import HELD_OUT_MIN, no_better, worse_in_loop
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
 from frogkick.identification.horizons import Horizon
@@ -37,10 +51,6 @@ __all__ = ["BEFORE", "STATES", "TABLES", "Pushed", "Retuning", "retune"]
 
 STATES = 800
 
-BETTER = 0.98
-"""The error of the new table must be at most this share of the old one's, in position or in heading."""
-
-HELD_OUT_MIN = 5  # minimum number of held-out periods with a measured end
 HELD_SHARE = 1.0 / 3.0  # share of a single run's periods, its last ones, that is held out
 
 ROBOT, LIBRARY, TABLES = "robot.toml", "library.h5", "tables.fkt"
@@ -55,7 +65,8 @@ class Retuning:
         outcome: the identification: its verdict and its effects.
         before, after: prediction errors of the old and the new table one period ahead on held-out periods;
             NaN if no table was made.
-        better: whether the new table predicts better; otherwise the robot keeps its old one.
+        better: whether the new table predicts better and follows paths no worse; otherwise the robot keeps
+            its old one.
         reason: why the robot keeps its old table; "" if it does not.
         held_out: what was held out, in words.
         out: folder of the results; see ``retune``.
@@ -63,6 +74,8 @@ class Retuning:
         firmware: sizes of the image; None if none was made.
         loop: the old and the new table in closed loop, in a pool with the identified effects; None without a
             new table.
+        on_runs: what the old and the new table err against the rods with the identified effects, on the
+            states of all runs as they occurred; None without a new table.
         horizons: errors of the old and the new table by horizon.
         lost: identified effects that no table can contain, and their cost; None if there are none.
         left_out: runs that were not used: ``run`` and ``reason`` of each.
@@ -80,6 +93,7 @@ class Retuning:
     tables: Mapping[str, Any] | None = None
     firmware: Mapping[str, Any] | None = None
     loop: tuple[Tracked, Tracked] | None = None
+    on_runs: tuple[PredictionError, PredictionError] | None = None
     horizons: Sequence[Horizon] = ()
     lost: Lost | None = None
     left_out: Sequence[Mapping[str, str]] = ()
@@ -102,14 +116,17 @@ class Retuning:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``retune``."""
+        sides = ("before", "after")
         loop = None if self.loop is None else [asdict(each) for each in self.loop]
+        on_runs = [{**each.as_json(), "periods": each.count} for each in self.on_runs or ()]
         return {
             "verdict": self.outcome.verdict,
             "effects": self.outcome.effects_as_json(),
             "before": {**self.before.as_json(), "periods": self.before.count},
             "after": {**self.after.as_json(), "periods": self.after.count},
             "horizons": [each.as_json() for each in self.horizons],
-            "closed_loop": None if loop is None else dict(zip(("before", "after"), loop, strict=True)),
+            "on_runs": dict(zip(sides, on_runs, strict=True)) if on_runs else None,
+            "closed_loop": None if loop is None else dict(zip(sides, loop, strict=True)),
             "lost": None if self.lost is None else self.lost.as_json(),
             "rods": self.outcome.tested_as_json(),
             "held_out": self.held_out,
@@ -137,8 +154,8 @@ class Retuning:
 def retune(
     runs: Given | Sequence[Given],
     *,
-    robot: Robot | str,
     out: Path | str,
+    robot: Robot | str | None = None,
     table: Table | Path | str | None = None,
     states: int = STATES,
     workers: int | None = None,
@@ -149,12 +166,16 @@ def retune(
     progress: Progress = False,
     laws: bool = True,
 ) -> Retuning:
-    """Identify what a model lacks, make a table with it, and keep the table if it predicts better.
+    """Identify what a model lacks, make a table with it, and keep the table if it is better.
+
+    It is better if it predicts the held-out periods better, and if the robot follows paths no worse with it
+    in a simulated pool with the identified effects: those of the runs.
 
     Args:
         runs: the robot's last runs in the order of their dates, or one. The last run is the test run; of a
             single run the last third is.
-        robot: the robot that its table was made from, its name or its TOML file.
+        robot: the robot that its table was made from, its name or its TOML file; None: the one in the logs of
+            the runs, or the built-in one of their id.
         out: folder, new or empty, for ``robot.toml``, ``library.h5``, ``before.fkt`` (the old table), and
             ``tables.fkt`` with ``firmware``, or ``refused.fkt`` if the new table is no better. The folder is
             made only if a table is made.
@@ -181,13 +202,22 @@ def retune(
     folder = Path(out)
     require_writable(folder, folder=True)
     require_new(folder)
-    described = load_robot(robot)
     every = [runs] if isinstance(runs, Given) else runs
-    swims, unused = reliable([segments_of(*each, described) for each in logs_of(every)])
+    logs = logs_of(every)
+    described = robot_of(logs, robot)
+    swims, unused = reliable([segments_of(*each, described) for each in logs])
     left_out(unused)
     require_held_out(swims[:-1], swims[-1:])
     old = None if table is None else _carried(table, described)
-    tools = TableMaker(states, seed, workers or os.cpu_count() or 1)
+    stroke_m = longest_stroke_m(swims)
+    tools = TableMaker(
+        states,
+        seed,
+        workers or os.cpu_count() or 1,
+        swims_of(swims),
+        paths_of([log for log, _name in logs]),
+        SHAPES_SUIT_M if math.isnan(stroke_m) else stroke_m,
+    )
     found = retuned(swims, described, folder, tools, partial(shown, progress), old, laws)
     sent = failed = None
     if push is not None and found.better:
@@ -239,16 +269,20 @@ def retuned(
             (made / f"before-{LIBRARY}").unlink()
         write_bytes(made / BEFORE, old)
         before, after = (table_error(tools, image, outcome) for image in (old, new))
+        on_runs = error_on_runs(tools, old, outcome), error_on_runs(tools, new, outcome)
         horizons = table_horizons(tools, old, new, outcome)
-        better = is_better(before, after, outcome.tested.noise_floor)
-        name = TABLES if better else REFUSED
-        write_bytes(made / name, new)
+        write_bytes(made / TABLES, new)
         loop = []
-        for file, which in ((made / BEFORE, "old"), (made / name, "new")):
+        for file, which in ((made / BEFORE, "old"), (made / TABLES, "new")):
             with stage(
                 f"paths followed with the {which} table, in a pool with the identified effects"
             ) as progress:
                 loop.append(tools.tracked(file, worn, progress))
+        reason = no_better(before, after, outcome.tested.noise_floor, worse_in_loop(*loop))
+        better = not reason
+        name = TABLES if better else REFUSED
+        if not better:
+            (made / TABLES).rename(made / REFUSED)
         lost = _lost(outcome, worn, tools, stage, new if better else old, loop[1 if better else 0])
         firmware = None
         if better:
@@ -260,12 +294,13 @@ def retuned(
         before=before,
         after=after,
         better=better,
-        reason="" if better else _no_better(before, after, outcome.tested.noise_floor),
+        reason=reason,
         held_out=held_out,
         out=out,
         tables={"file": str(out / name), "bytes": len(new), "states": tools.states(new)},
         firmware=firmware,
         loop=(loop[0], loop[1]),
+        on_runs=on_runs,
         horizons=horizons,
         lost=lost,
     )
@@ -328,31 +363,6 @@ def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], st
     return [learned], [kept], f"periods {first + 1} to {len(swim.start_s)} of the only run {swim.name!r}"
 
 
-def by_noise(noise_floor: PredictionError, periods: int) -> tuple[float, float]:
-    """By how much the errors of position (m) and heading (rad) over some periods differ by chance.
-
-    It is the standard error of a root mean square of the noise floor, which the noise of the fixes causes.
-    """
-    position_m, heading_rad = (floor / math.sqrt(2.0 * max(periods, 1)) for floor in noise_floor.pair)
-    return position_m, heading_rad
-
-
-def is_better(
-    before: PredictionError, after: PredictionError, noise_floor: PredictionError | None = None
-) -> bool:
-    """Whether neither position nor heading error is larger, and one of them is clearly smaller.
-
-    An error that is larger by no more than ``by_noise`` counts as equal.
-    """
-    by_chance = (0.0, 0.0) if noise_floor is None else np.nan_to_num(by_noise(noise_floor, after.count))
-    pairs = list(zip(before.pair, after.pair, strict=True))
-    return (
-        after.count >= HELD_OUT_MIN
-        and all(now <= then + chance for (then, now), chance in zip(pairs, by_chance, strict=True))
-        and any(now < BETTER * then for then, now in pairs)
-    )
-
-
 def _why_no_tables(outcome: Outcome, single: bool) -> str:
     """Why no table is made; "" if one is."""
     if outcome.verdict == TOO_LITTLE:
@@ -371,25 +381,6 @@ def _why_no_tables(outcome: Outcome, single: bool) -> str:
             "on position, heading or time: the robot keeps its old table"
         )
     return ""
-
-
-def _no_better(before: PredictionError, after: PredictionError, noise_floor: PredictionError) -> str:
-    if after.count < HELD_OUT_MIN:
-        return f"the tables could be compared on {after.count} held-out periods: {HELD_OUT_MIN} are needed"
-    chance = np.nan_to_num(by_noise(noise_floor, after.count))
-    grown = [
-        f"the {name} error grew by {scale * (now - then):.2g} {unit}, of which {scale * by:.2g} may be chance"
-        for name, then, now, by, scale, unit in zip(
-            ("position", "heading"), before.pair, after.pair, chance, (1e3, math.degrees(1.0)),
-            ("mm", "degrees"), strict=True,
-        )
-        if now > then + by
-    ]  # fmt: skip
-    why = "; ".join(grown) or f"neither error fell by {100.0 * (1.0 - BETTER):.0f} %"
-    return (
-        f"the new table is no better on held-out periods ({before} with the old one, {after} with the new "
-        f"one; {why}): the robot keeps its old table"
-    )
 
 
 def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:

@@ -73,7 +73,9 @@ def run(
         path: the desired path in the world frame, a shape's name or a path file.
         robot: "pool" (the C core on this computer in a simulated pool), "virtual" (the firmware on the
             virtual chip, in the same pool), "ble:NAME" or "serial:PORT".
-        model: the robot, its name or its TOML file; None: the table's own.
+        model: the robot, its name or its TOML file; None: the table's own. The planner believes what its
+            table was made with, effects included; in a simulated pool the robot swims without the effects of
+            its file, with those of ``world``.
         world: effects that act in the simulated pool but are in no model, or their TOML file.
         plan: who decides: "onboard" (the robot), "host", or "both" (the robot while the host checks it).
         planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
@@ -127,6 +129,8 @@ def run(
     described = used.robot
     # An effect may keep state.
     true = World() if world is None else copy.deepcopy(read_world(world, described))
+    if not is_real:
+        places.tell_effects_left_out(described, true)
     check = LiveCheck() if plan == "both" else None
     config = with_walls(places.plan_config(described, planner, depth), inside, used, fixes)
     following = next_paths(then, time_limit_s)

@@ -19,7 +19,7 @@ from frogkick.core.files import existing_file, require_writable, write_bytes
 from frogkick.core.interrupts import stops_are_interrupts
 from frogkick.effects import World, read_world
 from frogkick.front.bench import parse_begin
-from frogkick.front.places import SIMULATED, built_firmware, require_simulator
+from frogkick.front.places import SIMULATED, built_firmware, require_simulator, tell_effects_left_out
 from frogkick.front.tables import Table, load_table
 from frogkick.link.pty_line import PtyLine, require_pseudo_terminals
 from frogkick.pool.native_robot import NativeRobot, SimulatedPort
@@ -242,6 +242,7 @@ def served_pool(
     described, limbs = used.robot, len(used.robot.limbs)
     # An effect may keep state.
     true = World() if world is None else copy.deepcopy(read_world(world, described))
+    tell_effects_left_out(described, true)
     rng = np.random.default_rng(seed)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())

@@ -62,8 +62,8 @@ from frogkick.identification.verdict import (
     verdict_of,
 )
 from frogkick.robot import Robot
+from frogkick.robot.template import own_id
 from frogkick.robot.toml_text import to_toml
-from frogkick.runs.runlog import RunLog
 
 EVALUATIONS_MOST, EVALUATIONS_MOST_LAWS = 400, 1000
 """How often a search may simulate all runs, without laws and with them."""
@@ -415,14 +415,17 @@ def write_robot(target: Path, outcome: Outcome) -> None:
     write_text(target, found_toml(outcome, target.resolve().parent))
 
 
-def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Term] | None = None) -> str:
+def found_toml(
+    outcome: Outcome, folder: Path | None = None, terms: Sequence[Term] | None = None, renamed: bool = False
+) -> str:
     """The nominal robot's text with the effects found.
 
     Args:
         folder: folder that paths of the user's effect files are relative to; None: the nominal robot's.
         terms: of those found, the ones to write; None: all.
+        renamed: with an id of its own. A robot takes no table of another id.
     """
-    table = tomllib.loads(outcome.robot.toml)
+    table = tomllib.loads(outcome.robot.toml) | (own_id(outcome.robot) if renamed else {})
     place = folder or outcome.robot.folder or Path()
     effects = [dict(row) for row in table.get("effect", [])]
     for row in effects:
@@ -436,15 +439,3 @@ def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Ter
     if effects:
         table["effect"] = effects
     return to_toml(table)
-
-
-def robot_of_runs(runs: Sequence[Segments] | Sequence[RunLog]) -> str:
-    """Return the id of the robot of all runs.
-
-    Raises:
-        InputError: they are of several robots.
-    """
-    names = sorted({run.robot_id for run in runs})
-    if len(names) != 1:
-        raise InputError(f"the runs are of robots {', '.join(names)}: give runs of one")
-    return names[0]

@@ -213,7 +213,7 @@ def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
         InputError: the run is another robot's, its limbs cannot be this robot's, or its units are wrong.
     """
     if robot is not None:
-        if run.robot_id != robot.id:
+        if not robot.swam(run.robot_id):
             raise InputError(
                 f"run {name!r} is of robot {run.robot_id!r}, the model is {robot.id!r}: "
                 "give --robot or other runs"

@@ -10,7 +10,7 @@ import io
 import json
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -164,6 +164,7 @@ def build_library(
     record_s: float = RECORD_S,
     cluster: str | None = None,
     keep_others: bool = False,
+    swims: Sequence[Sequence[int]] = (),
 ) -> Library:
     """Simulate ``states`` initial velocities times all actions, write the library, and return it.
 
@@ -173,6 +174,7 @@ def build_library(
 
     Args:
         keep_others: raise if ``OUT.parts`` belongs to another build, instead of deleting it.
+        swims: of the sampling ``RUNS``, see ``sample_starts``.
 
     Raises:
         FrogkickError: a worker process died, or the cluster failed; finished parts are kept.
@@ -180,7 +182,7 @@ def build_library(
     require_workers(workers)
     if not 0.0 <= record_s <= RECORD_MAX_S:
         raise InputError(f"record is {record_s} s: give 0 to {RECORD_MAX_S:g}")
-    starts = sample_starts(robot, states, seed, sampling, workers, cluster)
+    starts = sample_starts(robot, states, seed, sampling, workers, cluster, swims)
     name = f"{robot.id} {robot.sha256.hex()[:8]}, {states} states, seed {seed}, {sampling}, {record_s:g} s"
     parts = Checkpoints(Path(out), _job(robot, starts, record_s), name, keep_others)
     done = _simulate_parts(robot, starts, record_s, parts, progress, workers, cluster)

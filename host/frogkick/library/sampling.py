@@ -2,7 +2,8 @@
 
 Planned swims take the actions that the planner chooses while it follows random paths, by a small table from
 random swims; the rods simulate its choices. The states at the start of these strokes are those that a better
-table should have.
+table should have. A robot that has swum gets the states of its runs as well: its planner may have held one
+action for longer than random or short swims do, up to speeds that they do not reach.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ TASK_ROBOTS = 2 * WIDTH
 
 SWIM_STROKES = 12  # from rest to cruising takes about six
 _HOLD_STROKES_MAX = 4  # an action is held for 1 to 4 strokes, as turns build up over several
+_BARREN_SWIMS_MAX = 1000  # that visit no new state, one after the other
+_LONG_STROKES = 32  # a heavy hull takes 25 strokes to 90 % of a steady turn
 
 _LEFT = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # mirrors (x, y, heading, vx, vy, omega)
 
@@ -125,6 +128,23 @@ def random_swims(robot: Robot, seed: int) -> Iterator[list[int]]:
         swim += 1
 
 
+def held_swims(robot: Robot, seed: int) -> Iterator[list[int]]:
+    """Yield the random actions of long swims from rest, without end; each is held for 1 to all strokes.
+
+    The logarithm of the number of strokes is uniform, so that robots that are slow to reach a steady turn
+    are in one as often as others are between two actions.
+    """
+    swim = 0
+    while True:
+        rng = np.random.default_rng([seed, 2, swim])
+        actions: list[int] = []
+        while len(actions) < _LONG_STROKES:
+            action = int(rng.integers(len(robot.actions)))
+            actions += [action] * round(_LONG_STROKES ** rng.uniform(0.0, 1.0))
+        yield actions[:_LONG_STROKES]
+        swim += 1
+
+
 class VisitedStates:
     """Distinct states at the decisions of swims from rest, with their mirror images."""
 
@@ -138,20 +158,39 @@ class VisitedStates:
     def __len__(self) -> int:
         return len(self._states)
 
-    def add(self, swims: Swims, states: int) -> None:
-        """Add the states of swims up to a number of states."""
+    def add(self, swims: Swims, states: int, share: float = 1.0) -> None:
+        """Add the states of swims, or an evenly spread share of them, up to a number of states.
+
+        Raises:
+            InputError: swims without end visit no more different states.
+        """
+        barren = passed = 0
         for actions in swims:
             if len(self) >= states:
                 return
+            if barren == _BARREN_SWIMS_MAX:
+                raise InputError(
+                    f"swims of {self._robot.id!r} visit {len(self)} different states, wanted are {states}: "
+                    "give fewer --states, or --sampling box"
+                )
             had = len(self)
             for stroke in range(len(actions)):
+                passed += 1
+                if int(passed * share) == int((passed - 1) * share):
+                    continue
                 before = self._moved(actions[:stroke])
                 for mirrored, done in ((False, before), (True, self._mirrored(before))):
                     if done not in self._seen and len(self) < states:
                         self._states.append((len(self._swims), stroke, mirrored))
                         self._seen.add(done)
-            if len(self) > had:
+            barren = 0 if len(self) > had else barren + 1
+            if not barren:
                 self._swims.append(tuple(actions))
+
+    def add_some(self, swims: Sequence[Sequence[int]], states: int) -> None:
+        """Add at most a number of states, from all parts of the swims."""
+        strokes = max(1, sum(map(len, swims)) * (1 if self._mirror is None else 2))
+        self.add(swims, len(self) + states, min(1.0, states / strokes))
 
     def _moved(self, actions: Sequence[int]) -> tuple[int, ...]:
         """The actions since the first limb fired, which determine the state."""
@@ -203,13 +242,19 @@ class _Path:
 
 
 def planned_swims(
-    robot: Robot, seed: int, workers: int = 1, cluster: str | None = None
+    robot: Robot,
+    seed: int,
+    workers: int = 1,
+    cluster: str | None = None,
+    swims: Sequence[Sequence[int]] = (),
 ) -> Iterator[list[list[int]]]:
     """Yield the actions of planned swims from rest, without end.
 
-    Each swim has a path and a generator of its own; workers and cluster do not change the swims.
+    Each swim has a path and a generator of its own; workers and cluster do not change the swims. After
+    earlier ``swims`` of the robot, which the small table contains as well, they are longer.
     """
-    job = Job(_start, (robot, seed, first_table(robot, seed)), _run, _warm)
+    strokes = _LONG_STROKES if swims else _STROKES
+    job = Job(_start, (robot, seed, first_table(robot, seed, swims), strokes), _run, _warm)
     swims_per_round = _CLUSTER_BATCHES if cluster is not None else workers
     for first in itertools.count(0, swims_per_round):
         numbers = list(range(first, first + swims_per_round))
@@ -217,40 +262,41 @@ def planned_swims(
         yield from (done[place] for place in range(swims_per_round))
 
 
-def first_table(robot: Robot, seed: int) -> bytes:
-    """The table image of planned swims, from a few states of random swims."""
+def first_table(robot: Robot, seed: int, swims: Sequence[Sequence[int]] = ()) -> bytes:
+    """The table image of planned swims, from a few states of random swims and as many of earlier ones."""
     rods, visited = rods_of(robot), VisitedStates(robot)
     visited.add(random_swims(robot, seed), _FIRST_TABLE_STATES)
+    visited.add_some(swims, _FIRST_TABLE_STATES)
     starts = visited.starts()
     found = starts.unfolded([simulate_task(rods, task) for task in starts.tasks])
     return quantise(library_of(robot, "visited", seed, found))
 
 
-_Ready = tuple[Rods, Tables, int]
+_Ready = tuple[Rods, Tables, int, int]
 
 
-def _start(robot: Robot, seed: int, image: bytes) -> _Ready:
-    return rods_of(robot), open_image(image), seed
+def _start(robot: Robot, seed: int, image: bytes, strokes: int) -> _Ready:
+    return rods_of(robot), open_image(image), seed, strokes
 
 
 def _run(ready: _Ready, number: int) -> list[list[int]]:
-    rods, tables, seed = ready
+    rods, tables, seed, strokes = ready
     lanes = [np.random.default_rng([seed, 1, number * WIDTH + lane]) for lane in range(WIDTH)]
-    return _swim(rods, tables, [_random_path(tables, rng) for rng in lanes], _STROKES)
+    return _swim(rods, tables, [_random_path(tables, rng, strokes) for rng in lanes], strokes)
 
 
 def _warm(ready: _Ready) -> None:
-    _swim(ready[0], ready[1], [_random_path(ready[1], np.random.default_rng(0))], 1)
+    _swim(ready[0], ready[1], [_random_path(ready[1], np.random.default_rng(0), 1)], 1)
 
 
-def _path_length_m(tables: Tables) -> float:
+def _path_length_m(tables: Tables, strokes: int) -> float:
     """Length of a path: the reach of a swim by the longest strokes."""
-    return _STROKES * float(tables.stroke_max_m)
+    return strokes * float(tables.stroke_max_m)
 
 
-def _random_path(tables: Tables, rng: np.random.Generator) -> _Path:
+def _random_path(tables: Tables, rng: np.random.Generator, strokes: int) -> _Path:
     """Random arcs from the origin."""
-    length_m = _path_length_m(tables)
+    length_m = _path_length_m(tables, strokes)
     tightest = _TIGHTEST * float(tables.turn_max_rad) / float(tables.stroke_max_m)
     curvature = tightest * rng.uniform(-1.0, 1.0, _ARCS)
     along = np.linspace(0.0, length_m, _POINTS)
@@ -268,7 +314,7 @@ def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> l
     config = config_of(robot.planner)
     config = replace(
         config,
-        progress_weight=config.progress_weight * _path_length_m(tables) / _REWARDED_LENGTH_M,
+        progress_weight=config.progress_weight * _path_length_m(tables, strokes) / _REWARDED_LENGTH_M,
         depth=min(config.depth, 2),  # deeper searches cost ten times more and choose nearly the same strokes
     )
     along = [0.0] * len(paths)
@@ -293,6 +339,8 @@ def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> l
 
 
 SAMPLINGS = ("box", "visited", "planned")
+RUNS = "runs"
+"""Sampling of a library for a robot that has swum: see ``sample_starts``."""
 
 _PLANNED_BATCHES_MAX = 1000
 
@@ -316,6 +364,7 @@ def sample_starts(
     sampling: str = "box",
     workers: int = 1,
     cluster: str | None = None,
+    swims: Sequence[Sequence[int]] = (),
 ) -> Starts:
     """Draw the states of a library.
 
@@ -325,6 +374,10 @@ def sample_starts(
             small part of the box and contain the limbs' last strokes. "planned" lets the planner steer along
             random paths; a quarter of its states are visited ones. Each state is followed by its mirror
             image if the robot is symmetric. A smaller number of visited states gives the first of them.
+            ``RUNS``: up to half of the states are those of earlier swims, then planned ones up to three
+            quarters, and the rest is visited by ``held_swims``, because the planner looks ahead along
+            actions that it does not take.
+        swims: of ``RUNS``: the actions of the robot's runs from rest.
         workers, cluster: for planned swims; see frogkick.core.chunks. They do not change the states.
 
     Raises:
@@ -339,17 +392,23 @@ def sample_starts(
     if sampling == "visited":
         visited.add(random_swims(robot, seed), states)
         return visited.starts()
-    if sampling == "planned":
-        visited.add(random_swims(robot, seed), max(1, states // 4))
-        for number, swims in enumerate(planned_swims(robot, seed, workers, cluster)):
-            visited.add(swims, states)
-            if len(visited) == states:
-                return visited.starts()
+    if sampling in ("planned", RUNS):
+        if sampling == RUNS:
+            visited.add_some(swims, max(1, states // 2))
+        else:
+            visited.add(random_swims(robot, seed), max(1, states // 4))
+        upto = states if sampling == "planned" else max(len(visited), 3 * states // 4)
+        for number, planned in enumerate(planned_swims(robot, seed, workers, cluster, swims)):
+            visited.add(planned, upto)
+            if len(visited) == upto:
+                break
             if number == _PLANNED_BATCHES_MAX:
                 raise InputError(
                     f"planned swims of {robot.id!r} visited {len(visited)} different states, wanted are "
-                    f"{states}: give fewer --states, or --sampling visited"
+                    f"{upto}: give fewer --states, or --sampling visited"
                 )
+        visited.add(held_swims(robot, seed), states)
+        return visited.starts()
     raise InputError(
         f"sampling is {sampling!r}{nearest_name(sampling, SAMPLINGS)}: give {', '.join(SAMPLINGS)}"
     )

@@ -28,9 +28,10 @@ from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
+from frogkick.front.logs import id_of_runs
 from frogkick.identification.batching import all_of
 from frogkick.identification.calibrated import end_errors
-from frogkick.identification.outcome import identify, robot_of_runs
+from frogkick.identification.outcome import identify
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments, read_segments, reliable
 from frogkick.report import style
@@ -257,7 +258,7 @@ def run(config: Heldout) -> HeldOutStudy:
     for row in unused:
         print(f"frogkick: run {row['run']!r} is LEFT OUT: {row['reason']}", file=sys.stderr)
     used = [run for run, swim in zip(config.runs, swims, strict=True) if not swim.problem]
-    robot = load_robot(config.robot or robot_of_runs(swims))
+    robot = load_robot(config.robot or id_of_runs(swims))
     with shown(True, "test runs") as tell:
         rows = held_out(robot, used, config.effects, config.processes, tell)
     return HeldOutStudy(rows, unused)

@@ -15,7 +15,7 @@ from frogkick.front.identifying import Identification
 from frogkick.front.logs import Run, robot_of
 from frogkick.identification.outcome import write_robot
 from frogkick.identification.segments import segments_of
-from frogkick.robot.template import own_id
+from frogkick.robot.rewriting import own_id
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,9 @@ def test_canonical_text_reads_back_to_the_same_robot() -> None:
 @pytest.mark.parametrize("name", ["frog2022", "frog2022-measured", "frog2022-sim", "hexapod"])
 def test_replaced_values_are_those_that_are_saved(name: str, tmp_path: Path) -> None:
     robot = load_robot(name)
-    limb = replace(robot.limbs[0], length_m=0.034, direction_rad=0.5)
+    alloy = robot.profiles[0].egain_percent
+    own = tuple(each for each in robot.profiles if each.egain_percent == alloy)
+    limb = replace(robot.limbs[0], length_m=0.034, direction_rad=0.5, egain_percent=alloy, profiles=own)
     changes: dict[str, Any] = {
         "period_s": 1.3,
         "water_density_kg_per_m3": 1030.0,

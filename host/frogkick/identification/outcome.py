@@ -62,7 +62,7 @@ from frogkick.identification.verdict import (
     verdict_of,
 )
 from frogkick.robot import Robot
-from frogkick.robot.template import own_id
+from frogkick.robot.rewriting import own_id
 from frogkick.robot.toml_text import to_toml
 
 EVALUATIONS_MOST, EVALUATIONS_MOST_LAWS = 400, 1000

@@ -1,4 +1,4 @@
-"""The text of a robot that differs from its file: by values that were replaced, or effects that were found."""
+"""The text of a robot that differs from its file: by replaced values, or by effects that were found."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _KEYS = {"limbs": "limb", "profiles": "profile", "library_box": "library", "effe
 
 
 def rewritten(robot: Robot, source: str) -> str:
-    """TOML of a robot with its values, which may be out of their ranges; what was not replaced keeps its text.
+    """TOML of a robot with its values, which are not checked; what was not replaced keeps its text.
 
     ``source`` is for errors.
     """
@@ -79,7 +79,7 @@ def _in_file(now: Any, was: Any, written: Any, where: str) -> Any:
                 raise InputError(f"{where}.{at.name} is {value}: no file holds it, an effect sets it")
         elif was is not None and value == old:
             table |= {key: written[key]} if key in written else {}
-        elif at.name.endswith("_rad"):
+        elif keys.get(at.name, at.name) != at.name:  # an angle
             table[key] = math.degrees(value) if isinstance(value, float) else [math.degrees(v) for v in value]
         elif value is not None and value != ():
             table[key] = _in_file(value, old, (written or {}).get(key), where)

@@ -173,7 +173,7 @@ def run(
     ends. The exit code is 1 if a limit of the guard was broken, if robot and host decided differently (--plan
     both), if the robot made no progress along its path, if it could not follow it because a limb is lost
     (with --learn), or if the run was cut short: position fixes were lost, the robot's supply fell too low, it
-    disarmed itself, or the connection was lost.
+    disarmed itself, the connection was lost, or the robot ended it and the reason was lost.
     """
 
     @contextmanager

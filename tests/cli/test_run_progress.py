@@ -19,7 +19,7 @@ from frogkick.front.viewing import run_progress
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.decision import LiveCheck
-from frogkick.runs.record import DISARMED, DROPPED, ENDED, STOPPED, TIME, RunOptions
+from frogkick.runs.record import DISARMED, DROPPED, ENDED, STOPPED, TIME, UNHEARD, RunOptions
 
 
 def test_progress_comes_with_the_plan_its_cost_and_the_distance() -> None:
@@ -68,6 +68,7 @@ def test_the_command_says_so(capsys: pytest.CaptureFixture[str]) -> None:
         (ENDED["SUPPLY"], "as the robot's supply fell too low: charge all batteries"),
         (DISARMED, "as the robot disarmed itself: 'frogkick log fetch' shows what led to it"),
         (DROPPED, "as the connection was lost and the robot ended the run meanwhile"),
+        (UNHEARD, "as the robot ended the run, and its reason was lost: see its log"),
         (TIME, ""),
         (STOPPED, ""),
     ],

@@ -93,12 +93,9 @@ int main(void)
     fk_uart_init();
     /* With a table that is not for this robot it answers all the same, and reports its fault; it starts no pulse. */
     flash = fk_flash_region();
-    if (fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes) == FK_OK) {
-        (void)fk_robot_init(&robot, store.image, store.image_bytes);
-        fk_robot_use_store(&robot, &store);
-    } else {
-        (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
-    }
+    (void)fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes);
+    (void)fk_robot_init(&robot, store.image, store.image_bytes);
+    fk_robot_use_store(&robot, &store);
     fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &persistent);
     fk_robot_use_learned(&robot, &learned);
     fk_robot_use_log(&robot, &history);

@@ -1,12 +1,12 @@
 /* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
- * Protocol version 6. Payloads of the link: commands are unpacked, answers and events packed.
+ * Protocol version 7. Payloads of the link: commands are unpacked, answers and events packed.
  */
 #ifndef FK_FRAMES_LAYOUT_H
 #define FK_FRAMES_LAYOUT_H
 
 #include <stdint.h>
 
-#define FK_PROTOCOL_VERSION 6u
+#define FK_PROTOCOL_VERSION 7u
 #define FK_PAYLOAD_BYTES_MAX 231u
 #define FK_ANSWER_BIT 0x80u
 #define FK_EVENT_BIT 0x40u
@@ -59,7 +59,8 @@ enum { /* internal errors */
     FK_FAULT_GUARD = 4,
     FK_FAULT_ACTION = 5,
     FK_FAULT_PULSE = 6,
-    FK_FAULT_CLOCK = 7
+    FK_FAULT_CLOCK = 7,
+    FK_FAULT_STORE = 8
 };
 
 enum { /* why the robot started */
@@ -778,7 +779,7 @@ static inline void fk_table_rollback_answer_pack(uint8_t *to, const fk_table_rol
 }
 
 #define FK_TABLE_STATUS_COMMAND_BYTES 0u
-#define FK_TABLE_STATUS_ANSWER_BYTES 38u
+#define FK_TABLE_STATUS_ANSWER_BYTES 42u
 
 /* Answer to TABLE_STATUS. */
 typedef struct {
@@ -796,6 +797,7 @@ typedef struct {
     uint32_t erases_1; /* times that pages of slot 1 were erased, at most, of 10,000 */
     uint32_t erases_2; /* the same of slot 2 */
     uint32_t erases_journal; /* of the journal's two pages together */
+    uint32_t repairs; /* starts that found the journal's newest entry damaged or cut short, and wrote it anew */
 } fk_table_status_answer_t;
 
 static inline void fk_table_status_answer_pack(uint8_t *to, const fk_table_status_answer_t *from)
@@ -814,6 +816,7 @@ static inline void fk_table_status_answer_pack(uint8_t *to, const fk_table_statu
     fk_put_u32(to + 26, from->erases_1);
     fk_put_u32(to + 30, from->erases_2);
     fk_put_u32(to + 34, from->erases_journal);
+    fk_put_u32(to + 38, from->repairs);
 }
 
 #define FK_LOG_COMMAND_BYTES 4u

@@ -50,6 +50,9 @@ static int32_t on_challenge(fk_robot_t *robot, const uint8_t *payload, uint8_t *
     if (status == FK_STATUS_OK && !fk_robot_is_owned(robot)) {
         status = FK_STATUS_AUTH;
     }
+    if (status == FK_STATUS_OK && robot->store->lost != 0u) {
+        status = FK_STATUS_FAULT; /* the key that is left may be one that was taken away */
+    }
     if (status == FK_STATUS_OK &&
         fk_auth_answer(&robot->auth, robot->store->record.owner_key, payload, nonce, proof) != 0) {
         status = FK_STATUS_UNKNOWN;

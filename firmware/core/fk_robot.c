@@ -16,6 +16,27 @@ static void begin_with_tables(fk_robot_t *robot, uint8_t learn)
     }
 }
 
+/* Without tables it answers all the same, in FAULT. */
+static int32_t open_tables(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes, uint8_t learn)
+{
+    int32_t error = fk_fit_open(image, image_bytes, &robot->tables);
+    if (error != FK_OK) {
+        static const fk_tables_t none;
+        static const char robot_id[] = FK_ROBOT_ID;
+        robot->tables = none;
+        for (uint32_t i = 0u; i + 1u < sizeof(robot_id); ++i) {
+            robot->tables.robot_id[i] = robot_id[i];
+        }
+        robot->estimator.restarts = 0u;
+        fk_wear_init(&robot->estimator.track.wear, &robot->tables, FK_LEARN_OFF);
+        robot->period_us = 0u;
+        fk_robot_fault(robot, FK_FAULT_TABLE, error);
+        return error;
+    }
+    begin_with_tables(robot, learn);
+    return FK_OK;
+}
+
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
 {
 #define DEFAULT(name, NAME, least, most) robot->plan.name = FK_##NAME;
@@ -73,22 +94,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->answers_dropped = 0u;
     robot->commands_repeated = 0u;
 
-    int32_t error = fk_fit_open(image, image_bytes, &robot->tables);
-    if (error != FK_OK) {
-        static const fk_tables_t none;
-        static const char robot_id[] = FK_ROBOT_ID;
-        robot->tables = none;
-        for (uint32_t i = 0u; i + 1u < sizeof(robot_id); ++i) {
-            robot->tables.robot_id[i] = robot_id[i];
-        }
-        robot->estimator.restarts = 0u;
-        fk_wear_init(&robot->estimator.track.wear, &robot->tables, FK_LEARN_OFF);
-        robot->period_us = 0u;
-        fk_robot_fault(robot, FK_FAULT_TABLE, error);
-        return error;
-    }
-    begin_with_tables(robot, FK_LEARN_OFF);
-    return FK_OK;
+    return open_tables(robot, image, image_bytes, FK_LEARN_OFF);
 }
 
 void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t *persistent)
@@ -106,15 +112,20 @@ void fk_robot_use_learned(fk_robot_t *robot, fk_wear_persistent_t *learned)
     (void)fk_wear_resume(&robot->estimator.track.wear, &robot->tables, learned);
 }
 
-void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = store; }
+void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store)
+{
+    robot->store = store;
+    if (store->lost != 0u) {
+        fk_robot_fault(robot, FK_FAULT_STORE, 0);
+    }
+}
 
-/* The store has put another table in use, and checked it; the robot is disarmed. The guard's history stays as it
- * is. */
+/* The store has put another table in use, and checked it; the robot is disarmed. Where the flash no longer holds what was
+ * checked the robot is in FAULT. The guard's history stays as it is. */
 void fk_robot_use_tables(fk_robot_t *robot)
 {
     const uint32_t restarts = robot->estimator.restarts; /* STATUS counts since boot */
-    (void)fk_fit_open(robot->store->image, robot->store->image_bytes, &robot->tables);
-    begin_with_tables(robot, robot->estimator.track.wear.learn);
+    (void)open_tables(robot, robot->store->image, robot->store->image_bytes, robot->estimator.track.wear.learn);
     robot->estimator.restarts = restarts;
 }
 

@@ -60,7 +60,8 @@ void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t
  */
 void fk_robot_use_learned(fk_robot_t *robot, fk_wear_persistent_t *learned);
 
-/* Accept tables by radio. The store has booted, and fk_robot_init() was given its image. */
+/* Accept tables by radio, and only the owner's commands if there is one. The store has booted, and fk_robot_init() was given
+ * its image. Call it before fk_robot_use_log(). A robot whose owner's key is lost is in FAULT. */
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store);
 
 /* Keep a log, which the command LOG fetches. Call it after fk_robot_note_reset() and before the first tick.

@@ -57,6 +57,7 @@ static int32_t answer_table_status(const fk_store_t *store, uint8_t *answer)
     reply.erases_1 = store->record.erases[0];
     reply.erases_2 = store->record.erases[1];
     reply.erases_journal = store->record.journal_erases;
+    reply.repairs = store->record.repairs;
     fk_table_status_answer_pack(answer, &reply);
     return (int32_t)FK_TABLE_STATUS_ANSWER_BYTES;
 }

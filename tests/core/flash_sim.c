@@ -4,10 +4,11 @@
 #include "fk_planner.h"
 #include "fk_store.h"
 
-enum { CUT_NOT_DONE, CUT_IN_PART, CUT_GARBAGE };
+enum { CUT_NOT_DONE, CUT_IN_PART, CUT_GARBAGE, CUT_MARGINAL };
 
 typedef struct {
-    uint8_t *bytes;
+    uint8_t *bytes;       /* as they read since power-on */
+    uint8_t *weak;        /* bits that a cut has left between 0 and 1, and that read otherwise at each power-on */
     uint32_t size;
     uint32_t operations;  /* words written and pages erased since power-on */
     uint32_t cut_at;      /* the operation that the power fails in, from 1 on; 0: none */
@@ -15,6 +16,7 @@ typedef struct {
     uint32_t random;      /* state of the generator, not 0 */
     uint32_t dead;        /* the power has failed: nothing is done any more */
     uint32_t fail_at;     /* an operation that does nothing, though the power stays; 0: none */
+    uint32_t fail_until;  /* and those behind it, up to this one */
     uint32_t refused;     /* what no flash can do: a bit back to 1, a word written twice, out of the region */
     uint32_t keep_from;   /* [keep_from, keep_to) holds the table in use */
     uint32_t keep_to;
@@ -25,7 +27,21 @@ typedef struct {
     uint32_t erase_places[64]; /* which operation erased the page last */
 } fk_flash_sim_t;
 
+/* What boots find with one wrong bit. */
+typedef struct {
+    uint32_t boots;
+    uint32_t opened;    /* found no owner */
+    uint32_t other;     /* found another key than before, or another table */
+    uint32_t lost;      /* found the store's state lost */
+    uint32_t unsettled; /* left something in doubt, or the next boot does not agree */
+    uint32_t repaired;  /* wrote */
+    uint32_t worst;     /* the first bit that changed anything; UINT32_MAX: none */
+} fk_flips_t;
+
 void fk_test_store_setup(fk_flash_sim_t *sim, fk_flash_t *flash);
+void fk_test_store_power_on(fk_flash_sim_t *sim);
+void fk_test_store_every_bit(fk_flash_sim_t *sim, fk_store_t *store, uint8_t *before, uint32_t from, uint32_t to,
+                             uint32_t every, fk_flips_t *found);
 int8_t fk_test_store_upload(fk_store_t *store, const uint8_t *image, uint32_t length, uint32_t stop_at,
                             int8_t *error);
 void fk_test_store_keep(fk_flash_sim_t *sim, const fk_store_t *store);
@@ -60,7 +76,7 @@ static int32_t begin_operation(fk_flash_sim_t *sim, uint32_t offset, uint32_t by
         sim->dead = 1u;
         return 2;
     }
-    return (sim->operations == sim->fail_at) ? 0 : 1;
+    return (sim->operations >= sim->fail_at && sim->operations <= sim->fail_until) ? 0 : 1;
 }
 
 void fk_flash_erase(const fk_flash_t *flash, uint32_t offset)
@@ -79,6 +95,10 @@ void fk_flash_erase(const fk_flash_t *flash, uint32_t offset)
         uint8_t noise = (uint8_t)next_random(sim);
         if (todo == 1 || (sim->cut_how == CUT_IN_PART && i < part)) {
             *byte = 0xffu;
+            sim->weak[offset + i] = 0u;
+        } else if (sim->cut_how == CUT_MARGINAL) {
+            sim->weak[offset + i] |= (uint8_t)(~*byte & noise);
+            *byte |= (uint8_t)next_random(sim);
         } else if (sim->cut_how == CUT_IN_PART) {
             *byte = (i == part) ? (uint8_t)(*byte | noise) : *byte;
         } else {
@@ -97,8 +117,14 @@ static void program_word(fk_flash_sim_t *sim, uint32_t offset, uint32_t word)
     uint32_t old = fk_get_u32(sim->bytes + offset);
     sim->refused += (old != UINT32_MAX) ? 1u : 0u; /* each word once; so no bit goes back to 1 either */
     ++sim->words[is_slot(offset)];
-    if (todo == 2) {
+    if (todo == 2 && sim->cut_how == CUT_MARGINAL) {
+        const uint32_t begun = old & ~word & next_random(sim);
+        fk_put_u32(sim->weak + offset, fk_get_u32(sim->weak + offset) | (begun & noise));
+        word = ~(begun & ~noise);
+    } else if (todo == 2) {
         word = (sim->cut_how == CUT_IN_PART) ? (word | noise) : (word & noise);
+    } else {
+        fk_put_u32(sim->weak + offset, fk_get_u32(sim->weak + offset) & word); /* what is written to 0 is firm */
     }
     fk_put_u32(sim->bytes + offset, old & word);
 }
@@ -114,6 +140,68 @@ void fk_test_store_setup(fk_flash_sim_t *sim, fk_flash_t *flash)
 {
     flash->base = sim->bytes;
     flash->context = sim;
+}
+
+void fk_test_store_power_on(fk_flash_sim_t *sim)
+{
+    for (uint32_t i = 0u; i < sim->size; ++i) {
+        if (sim->weak[i] != 0u) {
+            sim->bytes[i] = (uint8_t)((sim->bytes[i] & ~sim->weak[i]) | (next_random(sim) & sim->weak[i]));
+        }
+    }
+}
+
+static int32_t is_same_state(const fk_store_t *one, const fk_store_t *other)
+{
+    uint32_t differing = (uint32_t)(one->image - other->image) | (uint32_t)(one->running ^ other->running) |
+                         (uint32_t)(one->lost ^ other->lost);
+    for (uint32_t i = 0u; i < FK_STORE_KEY_WORDS; ++i) {
+        differing |= one->record.owner_key[i] ^ other->record.owner_key[i];
+    }
+    return differing == 0u;
+}
+
+/* Boot with each bit of [from, to) wrong by itself, and where that wrote, once more; of words that were never written one
+ * bit in so many. The store has booted; before: room for what stands in flash. */
+void fk_test_store_every_bit(fk_flash_sim_t *sim, fk_store_t *store, uint8_t *before, uint32_t from, uint32_t to,
+                             uint32_t every, fk_flips_t *found)
+{
+    const fk_store_t sound = *store;
+    static const fk_flips_t none;
+    *found = none;
+    found->worst = UINT32_MAX;
+    for (uint32_t i = 0u; i < sim->size; ++i) {
+        before[i] = sim->bytes[i];
+    }
+    for (uint32_t bit = 8u * from; bit < 8u * to; ++bit) {
+        if (fk_get_u32(sim->bytes + bit / 32u * 4u) == UINT32_MAX && (bit + bit / 32u) % every != 0u) {
+            continue;
+        }
+        sim->bytes[bit / 8u] ^= (uint8_t)(1u << (bit % 8u));
+        sim->operations = 0u;
+        (void)fk_store_boot(store, sound.flash, sound.built_in, sound.built_in_bytes);
+        const fk_store_t first = *store;
+        const uint32_t written = sim->operations;
+        ++found->boots;
+        found->opened += !fk_store_is_owned(&first) ? 1u : 0u;
+        found->other += !is_same_state(&first, &sound) ? 1u : 0u;
+        found->lost += first.lost;
+        found->repaired += (written != 0u) ? 1u : 0u;
+        if (found->worst == UINT32_MAX && !is_same_state(&first, &sound)) {
+            found->worst = bit;
+        }
+        found->unsettled += first.in_doubt;
+        if (written != 0u) {
+            (void)fk_store_boot(store, sound.flash, sound.built_in, sound.built_in_bytes);
+            found->unsettled += (!is_same_state(store, &first) || sim->operations != written || store->in_doubt != 0u);
+            for (uint32_t i = 0u; i < FK_STORE_JOURNAL_PAGES * FK_FLASH_PAGE_BYTES; ++i) {
+                sim->bytes[i] = before[i];
+            }
+        }
+        sim->bytes[bit / 8u] = before[bit / 8u];
+    }
+    sim->operations = 0u;
+    *store = sound;
 }
 
 /* Everything that operates from now on within the table in use is counted. */

@@ -13,10 +13,12 @@ from tests.planner import synthetic
 from frogkick.link.layout import link_layout
 
 PAGE = 4096
-RECORD = 112
-PLACES = PAGE // RECORD
+RECORD = 108
+STEP = 2 * RECORD + 4
+"""Two copies of a record, and the mark."""
+PLACES = (PAGE - 4) // STEP
 JOURNAL = 2 * PAGE
-HOWS = ("not done", "done in part", "garbage")
+HOWS = ("not done", "done in part", "garbage", "marginal")
 
 AT_REST_US = 600_000
 
@@ -48,7 +50,10 @@ class Flash:
         size = JOURNAL + slots * slot_bytes
         self._bytes = FFI.new("uint8_t[]", b"\xff" * size)
         self.memory = FFI.buffer(self._bytes, size)
-        self.sim = FFI.new("fk_flash_sim_t *", {"bytes": self._bytes, "size": size, "random": 1})
+        self._weak = FFI.new("uint8_t[]", size)
+        self.sim = FFI.new(
+            "fk_flash_sim_t *", {"bytes": self._bytes, "weak": self._weak, "size": size, "random": 1}
+        )
         self.flash = FFI.new("fk_flash_t *", {"slot_bytes": slot_bytes, "slots": slots})
         self.store = FFI.new("fk_store_t *")
         self.error = FFI.new("int8_t *")
@@ -56,23 +61,58 @@ class Flash:
         lib.fk_test_store_setup(self.sim, self.flash)
         assert self.boot() == 0
 
-    def boot(self) -> int:
-        """Power on: what is in flash, and nothing else."""
-        sim = self.sim
-        sim.dead = sim.cut_at = sim.fail_at = sim.operations = sim.keep_from = sim.keep_to = 0
-        FFI.memmove(self.store, b"\xa5" * FFI.sizeof("fk_store_t"), FFI.sizeof("fk_store_t"))
-        found = int(self.lib.fk_store_boot(self.store, self.flash, self._built_in, len(self.built_in)))
-        assert sim.operations == 0, "booting writes"
+    def boot(self, cut: tuple[int, int] | None = None) -> int:
+        """Power on: what is in flash, and nothing else. The boot after it agrees, and writes nothing.
+
+        ``cut``: lose the power in that operation of the boot, in that way.
+        """
+        found, sim = self._boot(cut), self.sim
+        self.boot_operations = sim.operations
+        if sim.operations and not sim.dead:
+            state = self.state
+            assert self._boot(None) == found and self.state == state, "the next boot does not agree"
+            assert sim.operations == 0, "the next boot writes"
+        sim.operations = 0
         self.lib.fk_test_store_keep(sim, self.store)
         return found
+
+    def _boot(self, cut: tuple[int, int] | None) -> int:
+        sim = self.sim
+        sim.dead = sim.cut_at = sim.fail_at = sim.fail_until = sim.operations = sim.keep_from = (
+            sim.keep_to
+        ) = 0
+        if cut is not None:
+            sim.cut_at, sim.cut_how = cut
+        self.lib.fk_test_store_power_on(sim)
+        FFI.memmove(self.store, b"\xa5" * FFI.sizeof("fk_store_t"), FFI.sizeof("fk_store_t"))
+        return int(self.lib.fk_store_boot(self.store, self.flash, self._built_in, len(self.built_in)))
+
+    @property
+    def key(self) -> bytes:
+        """The owner's; 32 zeros: none."""
+        return struct.pack("<8I", *self.store.record.owner_key)
+
+    @property
+    def state(self) -> tuple[int, int, int, bytes]:
+        """What a boot finds."""
+        return self.store.running, self.store.lost, self.lib.fk_store_is_owned(self.store), self.key
+
+    def own(self, key: bytes) -> str:
+        return self._status(self.lib.fk_store_own(self.store, list(struct.unpack("<8I", key))))
+
+    def restore(self, memory: bytes) -> None:
+        """Put back what stood in flash, every bit of it firm, and boot."""
+        self.memory[:] = memory
+        FFI.buffer(self._weak)[:] = bytes(len(memory))
+        assert self.boot() == 0
 
     def cut(self, at: int, how: int, seed: int) -> None:
         """Let the power fail in an operation from now on, the first is 1."""
         self.sim.operations, self.sim.cut_at, self.sim.cut_how, self.sim.random = 0, at, how, seed * 2 + 1
 
-    def fail(self, at: int) -> None:
-        """Let an operation do nothing, the next one is 1; the power stays."""
-        self.sim.operations, self.sim.fail_at = 0, at
+    def fail(self, at: int, many: int = 1) -> None:
+        """Let so many operations do nothing from one on, the next one is 1; the power stays."""
+        self.sim.operations, self.sim.fail_at, self.sim.fail_until = 0, at, at + many - 1
 
     @property
     def image(self) -> bytes:

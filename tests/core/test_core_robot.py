@@ -105,7 +105,7 @@ def test_boots_disarmed_with_everything_off() -> None:
     assert robot.stroke("B") == "STATE"
     assert robot.tick().limb_mask == 0
     answer = robot.ask("HELLO")
-    assert (answer["protocol_version"], answer["robot_id"], answer["period_us"]) == (6, "frog2022", PERIOD_US)
+    assert (answer["protocol_version"], answer["robot_id"], answer["period_us"]) == (7, "frog2022", PERIOD_US)
     assert (answer["states"], answer["actions"], answer["limbs"], answer["pulse_us"]) == (60, 7, 4, 80_000)
     assert answer["table_crc"] == zlib.crc32(robot.image[16:])
 

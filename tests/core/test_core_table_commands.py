@@ -42,6 +42,7 @@ def test_an_update_by_frames() -> None:
         "status": 0, "running": 1, "active": 1, "previous": 0, "open": 0, "slots": 2, "slot_bytes": 8192,
         "running_crc": crc_of(NEW), "previous_crc": crc_of(OLD), "built_in_crc": crc_of(OLD),
         "next_offset": len(NEW), "erases_1": 1, "erases_2": 0, "erases_journal": 1,
+        "repairs": 0,
     }  # fmt: skip
     assert robot.status("DISARM") == "OK"
     robot.tick(robot.now_us + 1000)

@@ -37,7 +37,7 @@ from frogkick.pool.native_robot import PAGE_BYTES, CoreCall, NativeRobot
 _AGAIN_FRAMES = 100  # a frame that comes twice comes within so many
 _NAMES = {message.id: name for name, message in link_layout().messages.items()}
 _HEARD = {"ARM": ARM, "DISARM": DISARM, "STOP": STOP, "START": STARTED}
-_RECORDS = 51  # in a page of the store's journal
+_RECORDS = 18  # in a page of the store's journal
 
 
 class SeenRobot(NativeRobot):

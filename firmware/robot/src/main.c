@@ -134,12 +134,9 @@ static uint8_t reset_reason(void)
 static void boot_robot(uint8_t reset)
 {
     flash = fk_flash_region();
-    if (fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes) == FK_OK) {
-        (void)fk_robot_init(&robot, store.image, store.image_bytes);
-        fk_robot_use_store(&robot, &store);
-    } else {
-        (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
-    }
+    (void)fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes);
+    (void)fk_robot_init(&robot, store.image, store.image_bytes);
+    fk_robot_use_store(&robot, &store);
     fk_robot_note_reset(&robot, reset, &persistent);
     fk_robot_use_learned(&robot, &learned);
     fk_robot_use_log(&robot, &history);

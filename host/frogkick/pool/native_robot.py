@@ -281,11 +281,9 @@ class NativeRobot(SimulatedPort):
         waiting, self._waiting = self._waiting, []
         for arrival_us, order, part in waiting:
             self._wait(arrival_us, order, part)
-        if core.fk_store_boot(self._store, self._flash, image, image_bytes) == 0:
-            error = core.fk_robot_init(self._memory, self._store.image, self._store.image_bytes)
-            core.fk_robot_use_store(self._memory, self._store)
-        else:
-            error = core.fk_robot_init(self._memory, image, image_bytes)
+        core.fk_store_boot(self._store, self._flash, image, image_bytes)
+        error = core.fk_robot_init(self._memory, self._store.image, self._store.image_bytes)
+        core.fk_robot_use_store(self._memory, self._store)
         if error:
             raise FrogkickError(f"the core refuses its table (fk_error_t {error}): build it again")
         core.fk_robot_note_reset(self._memory, link_layout().reset[reset], self._kept)

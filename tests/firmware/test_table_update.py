@@ -52,7 +52,7 @@ def test_one_update(bench: Firmware) -> None:
     assert (done.bytes_sent, done.resumed_at, done.table_crc) == (len(NEW), 0, open_image(NEW).crc32)
     session.handshake(open_image(NEW))
     flash = chip_of(session).flash
-    # And the records BEGIN, PAGE, COMMIT, twice each and with a mark, and the mark of the journal's other page.
+    # And BEGIN, PAGE, COMMIT, each twice and with a mark, and the mark of the journal's other page.
     assert flash.words_written == len(NEW) // 4 + 3 * (2 * 27 + 1) + 1
     assert sorted(flash.erases.values()) == [1, 1, 1]  # two pages of the slot, one of the journal
     assert upload(session, NEW).bytes_sent == 0

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from tests.cli.commands import Outcome, frogkick
 from tests.conftest import from_ci, some
+from tests.core.store_rig import RECORD, STEP
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool
@@ -185,6 +186,29 @@ def forget(robot: LiveRobot) -> None:
 
 
 NO_CODE = {"HELLO", "STATUS", "DISARM"}
+
+
+@pytest.mark.parametrize("has_key", [True, False])
+def test_a_robot_whose_flash_has_lost_the_key_says_what_to_do(
+    robot: LiveRobot,
+    target: str,
+    new: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    has_key: bool,
+) -> None:
+    if has_key:
+        assert frogkick(capsys, "own", "--robot", target).code == 0
+    else:
+        assert robot.flash.upload(NEW) == "OK"
+    at = (robot.flash.store.place - 1) * STEP
+    for copy in range(2):
+        robot.flash.memory[at + copy * RECORD] = bytes([robot.flash.memory[at + copy * RECORD][0] ^ 1])
+    robot.restart()
+    robot.heard.clear()
+    for arguments in (("own",), ("own", "--release"), ("push", new), ("push", "--rollback")):
+        refused(frogkick(capsys, *arguments, "--robot", target), "lost the owner's key", "erase its chip")
+    assert names_of(robot) <= NO_CODE
 
 
 def test_each_robot_has_a_key_of_its_own_in_one_file(

@@ -310,8 +310,18 @@ class Session:
         )
 
     def is_open(self) -> bool:
-        """Whether the robot says that anybody may command it; commands carry no codes then."""
-        if int(self.request("STATUS")["owner"]) != link_layout().owner["OPEN"]:
+        """Whether the robot says that anybody may command it; commands carry no codes then.
+
+        Raises:
+            LinkError: it has lost its key and obeys nobody, or it does not answer.
+        """
+        status = self.request("STATUS")
+        if int(status["fault"]) == link_layout().fault["STORE"]:
+            raise LinkError(
+                "the robot's flash is damaged and has lost the owner's key, so it obeys nobody: erase its "
+                "chip and flash it again, as the page about the owner's key says"
+            )
+        if int(status["owner"]) != link_layout().owner["OPEN"]:
             return False
         self._auth = None
         return True

@@ -22,19 +22,12 @@ static int32_t answer_status(int8_t status, uint8_t *answer)
 }
 
 /* HELLO of any length: its first byte is the version in every protocol from 2 on; version 1 had none. */
-static int32_t on_hello(fk_robot_t *robot, const fk_frame_t *frame, uint8_t *answer)
+static int32_t on_hello(const fk_robot_t *robot, const fk_frame_t *frame, uint8_t *answer)
 {
     fk_hello_answer_t reply;
     reply.status = FK_STATUS_VERSION;
     if (frame->payload_length == FK_HELLO_COMMAND_BYTES && frame->payload[0] == FK_PROTOCOL_VERSION) {
-        fk_hello_command_t command;
-        fk_hello_command_unpack(frame->payload, &command);
         reply.status = FK_STATUS_OK;
-        if (command.conversation != robot->conversation) {
-            robot->conversation = command.conversation;
-            fk_duplicates_init(&robot->duplicates);
-            fk_duplicates_note(&robot->duplicates, frame->sequence);
-        }
     }
     reply.protocol_version = FK_PROTOCOL_VERSION;
     for (uint32_t i = 0u; i < 16u; ++i) {
@@ -46,8 +39,10 @@ static int32_t on_hello(fk_robot_t *robot, const fk_frame_t *frame, uint8_t *ans
     reply.limbs = robot->tables.limbs;
     reply.period_us = robot->period_us;
     reply.pulse_us = robot->tables.pulse_us;
+    reply.newest = robot->duplicates.newest;
     fk_hello_answer_pack(answer, &reply);
-    return (int32_t)FK_HELLO_ANSWER_BYTES;
+    /* Protocols up to 6 have the answer without its last field, and their hosts shall understand the refusal. */
+    return (int32_t)FK_HELLO_ANSWER_BYTES - (reply.status == FK_STATUS_OK ? 0 : 1);
 }
 
 static int32_t on_arm(fk_robot_t *robot, uint8_t *answer)

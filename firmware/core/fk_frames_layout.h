@@ -225,21 +225,19 @@ static inline float fk_get_f32(const uint8_t *from)
     return pun.value;
 }
 
-#define FK_HELLO_COMMAND_BYTES 3u
+#define FK_HELLO_COMMAND_BYTES 1u
 
 /* Identify robot and table. A HELLO of another protocol version, or with the length of one, is answered with VERSION. */
 typedef struct {
     uint8_t protocol_version; /* the host's */
-    uint16_t conversation; /* another than the last HELLO's: sequence numbers begin anew, nothing is a repetition */
 } fk_hello_command_t;
 
 static inline void fk_hello_command_unpack(const uint8_t *from, fk_hello_command_t *to)
 {
     to->protocol_version = fk_get_u8(from + 0);
-    to->conversation = fk_get_u16(from + 1);
 }
 
-#define FK_HELLO_ANSWER_BYTES 34u
+#define FK_HELLO_ANSWER_BYTES 35u
 
 /* Answer to HELLO. */
 typedef struct {
@@ -252,6 +250,7 @@ typedef struct {
     uint8_t limbs; /* limbs of the robot */
     uint32_t period_us; /* time of one action (us) */
     uint32_t pulse_us; /* heating time of a limb (us) */
+    uint8_t newest; /* newest sequence number: the host counts on from it. Not in a refusal */
 } fk_hello_answer_t;
 
 static inline void fk_hello_answer_pack(uint8_t *to, const fk_hello_answer_t *from)
@@ -267,6 +266,7 @@ static inline void fk_hello_answer_pack(uint8_t *to, const fk_hello_answer_t *fr
     fk_put_u8(to + 25, from->limbs);
     fk_put_u32(to + 26, from->period_us);
     fk_put_u32(to + 30, from->pulse_us);
+    fk_put_u8(to + 34, from->newest);
 }
 
 #define FK_ARM_COMMAND_BYTES 0u
@@ -854,7 +854,7 @@ static inline void fk_log_answer_pack(uint8_t *to, const fk_log_answer_t *from)
 
 #define FK_CHALLENGE_COMMAND_BYTES 16u
 
-/* Begin an authenticated conversation: the robot proves that it has the owner's key. Not while running. */
+/* Offer an authenticated conversation: the robot proves that it has the owner's key. The conversation begins with its first command, within 5 s. Not while running. */
 typedef struct {
     uint32_t nonce_0; /* the host's: 16 bytes that it never used before, bytes 0 to 3 */
     uint32_t nonce_1; /* bytes 4 to 7 */
@@ -875,7 +875,7 @@ static inline void fk_challenge_command_unpack(const uint8_t *from, fk_challenge
 /* Answer to CHALLENGE. */
 typedef struct {
     int8_t status; /* see status */
-    uint32_t nonce_0; /* the robot's: bytes 0 to 3 */
+    uint32_t nonce_0; /* the robot's, the same until a conversation begins or ends, or for 5 s: bytes 0 to 3 */
     uint32_t nonce_1; /* bytes 4 to 7 */
     uint32_t nonce_2; /* bytes 8 to 11 */
     uint32_t nonce_3; /* bytes 12 to 15 */

@@ -2,18 +2,18 @@
 #include "fk_robot_state.h"
 #include "fk_store.h"
 
-/* A robot that replays a log has no store, so no owner: the commands in a log had been admitted. */
-int32_t fk_robot_is_owned(const fk_robot_t *robot) { return robot->store != 0 && fk_store_is_owned(robot->store); }
-
-/* Check and remove a frame's code, or refuse the frame. Only the owner's frames keep an armed robot from
- * disarming. */
+/* Check and remove a frame's code, or refuse the frame. Only the owner's frames keep an armed robot from disarming, and a
+ * conversation from ending: a command that somebody held back is worth nothing when its owner has left. */
 int8_t fk_robot_admit(fk_robot_t *robot, fk_frame_t *frame)
 {
     const int32_t is_owned = fk_robot_is_owned(robot);
     if (!fk_auth_has_code(frame->type)) {
         return (is_owned && fk_frame_needs_code(frame->type)) ? (int8_t)FK_STATUS_AUTH : (int8_t)FK_STATUS_OK;
     }
-    if (!is_owned || fk_auth_check(&robot->auth, frame) != FK_STATUS_OK) {
+    if (robot->now_us >= robot->heard_us + FK_LINK_SILENT_US) {
+        robot->auth.has_current = 0u;
+    }
+    if (!is_owned || fk_auth_check(&robot->auth, frame, robot->now_us) != FK_STATUS_OK) {
         return FK_STATUS_MAC;
     }
     robot->heard_us = robot->now_us;
@@ -37,14 +37,13 @@ static int8_t take_key(fk_robot_t *robot, const uint8_t *payload, uint64_t now_u
         return FK_STATUS_UNKNOWN; /* with a key but no nonces, nobody could command the robot any more */
     }
     status = fk_store_own(robot->store, key);
-    robot->auth.has_pending = 0u;
-    robot->auth.has_current = 0u;
+    fk_auth_end(&robot->auth);
     return status;
 }
 
-static int32_t on_challenge(fk_robot_t *robot, const uint8_t *payload, uint8_t *answer)
+static int32_t on_challenge(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us, uint8_t *answer)
 {
-    uint8_t nonce[FK_AUTH_NONCE_BYTES];
+    const uint8_t *nonce = robot->auth.nonce;
     uint8_t proof[FK_AUTH_PROOF_BYTES];
     int8_t status = fk_robot_may(robot, FK_EVENT_CHALLENGE);
     if (status == FK_STATUS_OK && !fk_robot_is_owned(robot)) {
@@ -54,7 +53,7 @@ static int32_t on_challenge(fk_robot_t *robot, const uint8_t *payload, uint8_t *
         status = FK_STATUS_FAULT; /* the key that is left may be one that was taken away */
     }
     if (status == FK_STATUS_OK &&
-        fk_auth_answer(&robot->auth, robot->store->record.owner_key, payload, nonce, proof) != 0) {
+        fk_auth_answer(&robot->auth, robot->store->record.owner_key, payload, now_us, proof) != 0) {
         status = FK_STATUS_UNKNOWN;
     }
     if (status != FK_STATUS_OK) {
@@ -71,7 +70,7 @@ static int32_t on_challenge(fk_robot_t *robot, const uint8_t *payload, uint8_t *
 int32_t fk_robot_key_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer)
 {
     if (frame->type == FK_FRAME_CHALLENGE) {
-        return on_challenge(robot, frame->payload, answer);
+        return on_challenge(robot, frame->payload, now_us, answer);
     }
     /* A port without a store keeps no key. */
     fk_put_i8(answer, (robot->store != 0) ? take_key(robot, frame->payload, now_us) : (int8_t)FK_STATUS_UNKNOWN);

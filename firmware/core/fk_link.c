@@ -10,6 +10,13 @@ static int32_t acts_once(uint8_t type)
     return changes && type != FK_FRAME_DISARM && type != FK_FRAME_STOP;
 }
 
+/* Whether a frame's number counts for what is late and what is ahead: FIX has numbers of its own, HELLO asks for them, and
+ * nobody but the owner moves his. */
+static int32_t counts(const fk_robot_t *robot, uint8_t type, int32_t has_code)
+{
+    return type != FK_FRAME_FIX && type != FK_FRAME_HELLO && (has_code != 0 || !fk_robot_is_owned(robot));
+}
+
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
 {
     fk_frame_t frame;
@@ -20,6 +27,9 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         return;
     }
     fk_robot_note_time(robot, now_us);
+    if (robot->now_us >= robot->heard_us + FK_DUPLICATES_SILENT_US) {
+        fk_duplicates_forget(&robot->duplicates);
+    }
     if (!fk_robot_is_owned(robot)) {
         robot->heard_us = robot->now_us;
     }
@@ -27,15 +37,12 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
      * can replay it. */
     fk_robot_send_events(robot);
     uint8_t *const answer = frame.payload; /* a command is read before its answer is written: less stack */
-    uint8_t type = (uint8_t)(frame.type | FK_ANSWER_BIT);
-    if (fk_auth_has_code(frame.type)) {
-        type &= (uint8_t)~FK_AUTH_BIT;
-    }
-    fk_duplicates_note(&robot->duplicates, frame.sequence);
-    const fk_duplicate_t *before = fk_duplicates_find(&robot->duplicates, &frame);
+    const int32_t has_code = fk_auth_has_code(frame.type);
+    const uint8_t type = (uint8_t)((has_code != 0 ? frame.type & ~FK_AUTH_BIT : frame.type) | FK_ANSWER_BIT);
+    const fk_kept_answer_t *before = fk_duplicates_find(&robot->duplicates, &frame);
     if (before != 0) {
         ++robot->commands_repeated;
-        fk_robot_send(robot, type, frame.sequence, before->answer, before->length);
+        fk_robot_send(robot, type, frame.sequence, before->bytes, before->length);
         return;
     }
     const int8_t refusal = fk_robot_admit(robot, &frame);
@@ -43,6 +50,9 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         fk_put_i8(answer, refusal);
         fk_robot_send(robot, type, frame.sequence, answer, 1u);
         return;
+    }
+    if (counts(robot, frame.type, has_code)) {
+        fk_duplicates_note(&robot->duplicates, frame.sequence);
     }
     uint32_t record = 0u;
     const int32_t is_logged = fk_robot_log_command(robot, &frame, &record);

@@ -62,7 +62,6 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->log = 0;
     robot->log_mark = 0u;
     robot->log_broken = 1u;
-    robot->conversation = 0u;
     robot->now_us = 0u;
     robot->heard_us = 0u;
     robot->replays = 0u;
@@ -81,6 +80,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->stroke_us = 0u;
     robot->free_us = 0u;
     robot->all_off = 1u;
+    robot->off_again = 0u;
     robot->decision_pending = 0u;
     robot->refused_pending = 0u;
     robot->ended_pending = 0u;
@@ -356,7 +356,8 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
     outputs->pulse_us = 0u;
     robot->fired_mask = 0u;
     fk_robot_note_time(robot, now_us);
-    outputs->all_off = robot->all_off;
+    outputs->all_off = (robot->all_off != 0u || robot->off_again != 0u) ? 1u : 0u;
+    robot->off_again = 0u;
     if (robot->all_off != 0u) {
         fk_robot_log(robot, FK_RECORD_OFF, 0, 0u);
         fk_guard_cut(&robot->guard, now_us);
@@ -392,7 +393,7 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
 
     /* A decision waits for the current stroke to have begun. It is computed for its scheduled time, however late
      * it is made. */
-    if (robot->all_off != 0u) {
+    if (robot->all_off != 0u || robot->off_again != 0u) {
         outputs->next_tick_us = now_us;
     } else if (robot->second_mask != 0u) {
         outputs->next_tick_us = later(robot->second_us, robot->free_us);

@@ -2,9 +2,11 @@
  *
  * Commands that change something are logged with the status of their answer, and everything that the robot does by
  * itself. Fixes that arrive while it is disarmed are not logged, nor what a robot in FAULT refuses: a camera that
- * runs on for minutes would overwrite the run before. The next ARM then begins with a snapshot.
+ * runs on for minutes would overwrite the run before. The next ARM then begins with a snapshot. Nor is DISARM or STOP
+ * logged where the robot has an owner and it changes nothing.
  */
 #include "fk_robot_state.h"
+#include "fk_store.h"
 
 /* Commands that change something, other than FIX: the estimator has its own filter for duplicate fixes. */
 int32_t fk_robot_changes_state(uint8_t type)
@@ -12,6 +14,21 @@ int32_t fk_robot_changes_state(uint8_t type)
     return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
            type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
            type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK;
+}
+
+/* A robot that replays a log has no store, so no owner: the commands in a log had been admitted. */
+int32_t fk_robot_is_owned(const fk_robot_t *robot) { return robot->store != 0 && fk_store_is_owned(robot->store); }
+
+/* Whether DISARM or STOP changes nothing. Of a robot that has an owner such a command is not logged: anybody may send it
+ * on and on, and would push the owner's records out of the log. */
+int32_t fk_robot_is_still(const fk_robot_t *robot, uint8_t event)
+{
+    if (!fk_robot_is_owned(robot) || robot->all_off != 0u) {
+        return 0;
+    }
+    return robot->state == FK_STATE_DISARMED || robot->state == FK_STATE_FAULT ||
+           (event == FK_EVENT_STOP && robot->state == FK_STATE_ARMED && robot->stroke_request == 0u &&
+            robot->second_mask == 0u);
 }
 
 uint32_t fk_robot_rest_us(const fk_robot_t *robot)
@@ -105,6 +122,9 @@ int32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame, uint32_
     uint8_t content[FK_COMMAND_RECORD_BYTES + FK_PAYLOAD_BYTES_MAX + 1u];
     const int32_t is_fix = frame->type == FK_FRAME_FIX;
     if (robot->log == 0 || robot->state == FK_STATE_FAULT || (!is_fix && !fk_robot_changes_state(frame->type))) {
+        return 0;
+    }
+    if ((frame->type == FK_FRAME_DISARM || frame->type == FK_FRAME_STOP) && fk_robot_is_still(robot, frame->type)) {
         return 0;
     }
     if (is_fix && robot->state == FK_STATE_DISARMED) {

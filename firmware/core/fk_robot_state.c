@@ -50,10 +50,17 @@ int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
         fk_robot_no_more_pulses(robot);
     }
     if (rule.action == FK_DO_OFF) {
-        robot->all_off = 1u;
+        if (fk_robot_is_still(robot, event)) {
+            robot->off_again = 1u;
+        } else {
+            robot->all_off = 1u;
+        }
     }
     const uint8_t before = robot->state;
     robot->state = rule.next;
+    if (robot->state == FK_STATE_DISARMED || robot->state == FK_STATE_FAULT) {
+        fk_auth_end(&robot->auth); /* what was sent before does not act later */
+    }
     if (before == FK_STATE_RUNNING && robot->state != FK_STATE_RUNNING) {
         fk_robot_use_coming(robot); /* the next START follows the newest complete path */
     }

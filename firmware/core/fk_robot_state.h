@@ -54,7 +54,6 @@ struct fk_robot {
     uint8_t reset;               /* FK_RESET_... */
     uint8_t heat_unknown;        /* the limbs' heat was unknown at the start */
     uint8_t supply;              /* FK_SUPPLY_... */
-    uint16_t conversation;       /* of the last HELLO */
     uint64_t now_us;             /* the latest time that the port has passed in */
     uint64_t heard_us;           /* when the last whole frame came; where the robot has an owner, the last of the owner's */
     uint8_t replays;             /* 1: it replays a log, which holds by itself when the link was lost */
@@ -74,6 +73,7 @@ struct fk_robot {
     uint64_t stroke_us;          /* when the action that was asked for last begins, as the estimator has it */
     uint64_t free_us;            /* from when the port's one pulse timer is free */
     uint8_t all_off;             /* the next tick switches everything off */
+    uint8_t off_again;           /* the same, and all is off already: nothing is logged */
     uint8_t fired_mask;          /* limbs that the last tick asked the port to heat; 0: none */
     uint8_t fired_first;         /* 1 + action whose first limbs these are; 0: its second ones */
 
@@ -106,6 +106,8 @@ void fk_robot_log_snapshot(const fk_robot_t *robot);
 #define FK_PULSE_ASKED 1u    /* of the port */
 #define FK_PULSE_TOO_LATE 2u /* for the port */
 int32_t fk_robot_changes_state(uint8_t type);
+int32_t fk_robot_is_owned(const fk_robot_t *robot);
+int32_t fk_robot_is_still(const fk_robot_t *robot, uint8_t event);
 uint32_t fk_robot_rest_us(const fk_robot_t *robot);
 void fk_robot_log(fk_robot_t *robot, uint8_t id, const uint8_t *content, uint32_t length);
 void fk_robot_log_fault(fk_robot_t *robot);
@@ -142,7 +144,6 @@ int32_t fk_robot_is_at_rest(const fk_robot_t *robot, uint64_t now_us);
 int32_t fk_robot_table_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 
 /* fk_key_commands.c */
-int32_t fk_robot_is_owned(const fk_robot_t *robot);
 int8_t fk_robot_admit(fk_robot_t *robot, fk_frame_t *frame);
 int32_t fk_robot_key_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 

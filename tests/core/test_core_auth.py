@@ -123,10 +123,12 @@ def test_a_command_that_was_recorded_acts_once(name: str) -> None:
         assert own(robot) == "OK"
     again = heard(robot, frame)
     assert again == (first if name != "FIX" else "MAC")  # from memory
+    robot.raw(pack_frame("HELLO", "command", 4, hello())[:-1])  # anybody may: it changes nothing
+    robot.take()
+    assert heard(robot, frame) == again
+    robot.core.fk_duplicates_forget(FFI.addressof(robot.memory, "duplicates"))
+    assert heard(robot, frame) == "MAC"
     robot.raw(pack_frame("DISARM", "command", 3)[:-1])
-    robot.raw(
-        pack_frame("HELLO", "command", 4, hello(77))[:-1]
-    )  # anybody may: nothing counts as a repetition
     robot.take()
     assert heard(robot, frame) == "MAC"
     robot.auth = challenge(robot, nonce=bytes(range(16)))
@@ -137,9 +139,12 @@ def test_a_command_that_was_recorded_acts_once(name: str) -> None:
 
 
 def test_what_the_host_says_or_the_robot_cannot_be_sent_back() -> None:
-    """A robot's proof is no code of a command, nor is a command's code a proof; nonces differ each time."""
+    """A robot's proof is no code of a command, nor is a command's code a proof; no nonce comes again."""
     robot, _ = owned()
-    reported = [robot.ask("CHALLENGE", auth.words("nonce", bytes(16))) for _ in range(3)]
+    reported = []
+    for _ in range(3):
+        reported.append(robot.ask("CHALLENGE", auth.words("nonce", bytes(16))))
+        robot.status("DISARM")
     assert len({reported["nonce_0"] for reported in reported}) == 3
     for answer in reported:
         proof, nonce = auth.from_words("proof", answer, 4), auth.from_words("nonce", answer, 4)
@@ -152,8 +157,8 @@ def test_what_the_host_says_or_the_robot_cannot_be_sent_back() -> None:
 def test_a_wrong_key() -> None:
     robot, _ = owned()
     assert challenge(robot, OTHER) is None
-    nonces = bytes(16) + auth.from_words("nonce", robot.ask("CHALLENGE", auth.words("nonce", bytes(16))), 4)
-    robot.auth = auth.CommandCodes(hmac.digest(OTHER, b"frogkick command" + nonces, "sha256"))
+    nonce = auth.from_words("nonce", robot.ask("CHALLENGE", auth.words("nonce", bytes(16))), 4)
+    robot.auth = auth.CommandCodes(hmac.digest(OTHER, b"frogkick command" + nonce, "sha256"))
     assert robot.status("ARM") == "MAC" and robot.state() == "DISARMED"
 
 
@@ -174,14 +179,6 @@ def test_every_bit_of_a_command_is_under_its_code() -> None:
     assert heard(robot, frame[:-1]) == "OK"
 
 
-def test_a_stranger_s_challenge_ends_no_conversation() -> None:
-    robot, _ = owned()
-    assert robot.status("ARM") == "OK"
-    for _ in range(3):
-        robot.ask("CHALLENGE", auth.words("nonce", bytes(16)))
-    assert robot.status("PARAM", GUARDED["PARAM"]) == "OK"
-
-
 def test_another_of_the_owner_s_hosts_takes_over() -> None:
     robot, _ = owned()
     assert robot.status("PARAM", GUARDED["PARAM"]) == "OK"
@@ -192,33 +189,37 @@ def test_another_of_the_owner_s_hosts_takes_over() -> None:
 
 
 def test_frames_that_overtake_each_other() -> None:
-    """Each counter counts once, within 32 of the newest; by chance, beside the plain way to say so."""
+    """Each counter counts once, within 32 of the newest, as each of FIX does; beside a plain way to tell."""
     robot, _ = owned()
     conversation = robot.auth
     assert conversation is not None
-    rng, newest, had, seen = random.Random(3), 0, set[int](), set[str]()
-    for _ in range(600):
-        counter = max(0, newest + rng.choice([-40, -32, -31, -5, -1, 0, 1, 1, 2, 30, 31, 32, 33, 70]))
-        conversation.counter = counter - 1
-        expected = "OK" if counter > 0 and counter not in had and counter > newest - 32 else "MAC"
-        assert robot.status("PARAM", GUARDED["PARAM"]) == expected, counter
-        seen.add(expected)
-        if expected == "OK":
-            had.add(counter)
-            newest = max(newest, counter)
-    assert seen == {"OK", "MAC"}
+    rng, seen = random.Random(3), set[tuple[bool, str]]()
+    newest, had = {True: 0, False: 0}, {True: set[int](), False: set[int]()}
+    for _ in range(1200):
+        is_fix = rng.random() < 0.5
+        counter = max(0, newest[is_fix] + rng.choice([-40, -32, -31, -5, -1, 0, 1, 1, 2, 30, 31, 32, 33, 70]))
+        is_new = counter > 0 and counter not in had[is_fix] and counter > newest[is_fix] - 32
+        conversation.counter = conversation.fix_counter = counter - 1
+        robot.now_us += 10_000
+        answer = robot.fix() if is_fix else robot.status("PARAM", GUARDED["PARAM"])
+        assert answer == ("OK" if is_new else "MAC"), (counter, is_fix)
+        seen.add((is_fix, answer))
+        if is_new:
+            had[is_fix].add(counter)
+            newest[is_fix] = max(newest[is_fix], counter)
+    assert len(seen) == 4
 
 
 def test_nothing_that_a_stranger_sends_keeps_it_armed() -> None:
     robot, _ = owned()
     assert robot.status("ARM") == "OK"
     armed_us = robot.now_us
-    conversation, robot.auth = robot.auth, None
+    robot.auth = None
     for _ in range(9):
         robot.run_until(robot.now_us + 600_000)
         assert robot.status("PARAM", GUARDED["PARAM"]) == "AUTH"
     assert robot.now_us > armed_us + SILENT_US and robot.state() == "DISARMED"
-    robot.auth = conversation
+    robot.auth = challenge(robot)
     assert robot.status("ARM") == "OK"
     for _ in range(9):
         robot.run_until(robot.now_us + 600_000)
@@ -366,9 +367,16 @@ BROKEN: dict[str, tuple[str, str, str]] = {
         "fk_auth.c", "head[FK_FRAME_HEAD_BYTES] = {frame->type, ", "head[FK_FRAME_HEAD_BYTES] = {0u, ",
     ),
     "the number is not under the code": ("fk_auth.c", ", frame->sequence};", ", 0u};"),
-    "a key ends no conversation": ("fk_key_commands.c", "    robot->auth.has_current = 0u;\n", ""),
-    "counters are not looked at": ("fk_auth.c", "if (!take_counter(auth, ", "if (!1 && !take_counter(auth, "),
-    "nonces come again": ("fk_auth.c", "    ++auth->challenges;\n", ""),
+    "a key ends no conversation": ("fk_key_commands.c", "    fk_auth_end(&robot->auth);\n", ""),
+    "a disarmed robot ends no conversation": ("fk_robot_state.c", "        fk_auth_end(&robot->auth); ", ""),
+    "a nonce that was offered outlives it": (
+        "fk_auth.c", "    auth->has_pending = 0u;\n    auth->has_current", "    auth->has_current",
+    ),
+    "counters are not looked at": ("fk_auth.c", "if (!take_counter(", "if (!1 && !take_counter("),
+    "nonces come again": ("fk_auth.c", "        ++auth->nonces;\n", ""),
+    "a stranger's CHALLENGE displaces the owner's": (
+        "fk_auth.c", "if (!is_fresh(auth, now_us)) {", "if (now_us != 0u) {",
+    ),
 }  # fmt: skip
 
 
@@ -381,8 +389,22 @@ def _breaks(robot: Robot, flash: Flash) -> list[str]:
         return ["no conversation"]
     if robot.status("PARAM", GUARDED["PARAM"]) != "OK":
         found.append("the owner is refused")
-    nonces = {robot.ask("CHALLENGE", auth.words("nonce", bytes(16)))["nonce_0"] for _ in range(2)}
-    found += ["nonces come again"] if len(nonces) == 1 else []
+    nonces = []
+    for _ in range(2):
+        nonces += [robot.ask("CHALLENGE", auth.words("nonce", bytes(16)))["nonce_0"] for _ in range(2)]
+        robot.auth = None
+        robot.status("DISARM")
+    found += ["nonces come again"] if nonces[0] == nonces[2] else []
+    found += ["a stranger displaces the owner"] if nonces[0] != nonces[1] else []
+    robot.auth = challenge(robot)
+    held_back = [pack_frame("PARAM", "command", 91, GUARDED["PARAM"], (), robot.auth)[:-1]]
+    robot.status("PARAM", GUARDED["PARAM"])
+    held_back.append(pack_frame("PARAM", "command", 92, GUARDED["PARAM"], (), robot.auth)[:-1])
+    offered = challenge(robot)
+    held_back.append(pack_frame("PARAM", "command", 93, GUARDED["PARAM"], (), offered)[:-1])
+    robot.status("DISARM")
+    found += ["what was held back acts"] if {heard(robot, frame) for frame in held_back} != {"MAC"} else []
+    robot.auth = challenge(robot)
     whole = pack_frame("PARAM", "command", 90, GUARDED["PARAM"], (), robot.auth)
     raw = cobs.decode(whole[:-1])[:-4]
     for at in (0, 1, 2, len(raw) - 9, len(raw) - 1):
@@ -393,7 +415,8 @@ def _breaks(robot: Robot, flash: Flash) -> list[str]:
         if answer is None or answer[2] != struct.pack("b", link_layout().status["MAC"]):
             found.append(f"byte {at} is not under the code")
     conversation = copy.copy(robot.auth)
-    conversation.counter = 0
+    if robot.status("PARAM", GUARDED["PARAM"]) != "OK":
+        found.append("the owner is refused")
     robot.auth = conversation
     if robot.status("PARAM", GUARDED["PARAM"]) != "MAC":
         found.append("a counter came twice")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.core.core import ACTION, FFI, Robot, cases, collect, core, decode, encode, strings
 
 from frogkick.link.frames import hello, pack_frame
-from frogkick.link.layout import AUTH_BIT, link_layout
+from frogkick.link.layout import AUTH_BIT, Value, link_layout
 
 PAYLOAD_MAX = link_layout().payload_bytes_max
 PAYLOADS = st.binary(max_size=PAYLOAD_MAX) | st.integers(0, PAYLOAD_MAX).map(bytes)
@@ -243,44 +243,76 @@ def test_what_switches_off_always_acts(name: str) -> None:
     assert robot.run_until(robot.now_us + 10**7) == [], "no pulse begins any more"
 
 
-def test_a_repetition_after_others_and_one_out_of_order() -> None:
+def heard(robot: Robot, name: str, sequence: int, values: dict[str, Value] | None = None) -> str:
+    """The status of a command with this number."""
+    robot.raw(pack_frame(name, "command", sequence & 0xFF, values or {})[:-1])
+    return link_layout().status_name(int(robot.take()[-1].values["status"]))
+
+
+@pytest.mark.parametrize("late", [1, 15, 16, 63, 64])
+def test_a_command_that_comes_again_late(late: int) -> None:
+    """Its number is among the newest 64, its answer among the newest 16."""
     robot = Robot()
-    frame = pack_frame("ARM", "command", 100, {})[:-1]
-    robot.raw(frame)
-    for sequence in range(101, 100 + 128):
-        robot.raw(pack_frame("STATUS", "command", sequence & 0xFF, {})[:-1])
-    robot.raw(pack_frame("DISARM", "command", 99, {})[:-1])  # late, but never had
-    robot.take()
-    assert robot.state() == "DISARMED"
+    assert heard(robot, "ARM", 100) == "OK" and heard(robot, "DISARM", 101) == "OK"
+    for sequence in range(102, 101 + late):
+        heard(robot, "PARAM", sequence, {"parameter": 1, "value": 2.0})
+    assert heard(robot, "ARM", 100) == ("OK" if late < 16 or late > 63 else "DOUBLE")
+    assert (robot.memory.state == link_layout().state["ARMED"]) == (late > 63)
 
 
-def test_a_number_may_be_used_again_after_half_of_all() -> None:
-    for apart, state in ((126, "DISARMED"), (127, "ARMED")):
+@pytest.mark.parametrize("newest", [0, 1, 77, 255])
+def test_a_command_acts_once_whatever_its_number(newest: int) -> None:
+    """Also where it is just as far ahead of the newest one as behind it."""
+    for sequence in range(256):
         robot = Robot()
-        frame = pack_frame("ARM", "command", 250, {})[:-1]
-        robot.raw(frame)
-        robot.raw(pack_frame("DISARM", "command", 251, {})[:-1])
-        robot.raw(pack_frame("STATUS", "command", (251 + apart) & 0xFF, {})[:-1])
-        robot.take_bytes()
-        robot.raw(frame)
-        robot.take_bytes()
-        robot._sequence = (251 + apart) & 0xFF
-        assert robot.state() == state
+        heard(robot, "STATUS", newest)
+        assert heard(robot, "ARM", newest + sequence) == heard(robot, "DISARM", newest + sequence + 1) == "OK"
+        assert heard(robot, "ARM", newest + sequence) in ("OK", "DOUBLE")
+        assert robot.memory.state == link_layout().state["DISARMED"], sequence
 
 
-def test_only_so_many_commands_are_kept() -> None:
-    for many, state in ((31, "DISARMED"), (32, "ARMED")):
+@pytest.mark.parametrize("lost", [0, 1, 62, 63, 128, 190])
+def test_a_number_that_comes_round_again_after_frames_were_lost(lost: int) -> None:
+    robot = Robot()
+    assert heard(robot, "ARM", 200) == heard(robot, "DISARM", 201) == "OK"
+    for sequence in range(202, 200 + 256 - lost):
+        heard(robot, "STATUS", sequence)
+    assert heard(robot, "ARM", 200) == "OK"
+    assert robot.memory.state == link_layout().state["ARMED"], "it was answered, and not done"
+
+
+def test_nothing_is_a_repetition_after_a_long_silence() -> None:
+    """A host that loses as many frames as there are numbers gives them up one after the other."""
+    for silent_s, state in ((79, "DISARMED"), (80, "ARMED")):
         robot = Robot()
-        frame = pack_frame("ARM", "command", 10, {})[:-1]
-        robot.raw(frame)
-        for index in range(many):
-            robot.raw(pack_frame("PARAM", "command", 11 + index, {"parameter": 1, "value": 2.0})[:-1])
-        robot.raw(pack_frame("DISARM", "command", 50, {})[:-1])
-        robot.take_bytes()
-        robot.raw(frame)
-        robot.take_bytes()
-        robot._sequence = 60
-        assert robot.state() == state
+        assert heard(robot, "ARM", 200) == heard(robot, "DISARM", 201) == "OK"
+        robot.tick(robot.now_us + silent_s * 1_000_000)
+        assert heard(robot, "ARM", 200) == "OK"
+        assert robot.memory.state == link_layout().state[state]
+
+
+@pytest.mark.parametrize("name", ["FIX", "HELLO"])
+def test_numbers_of_fixes_and_of_hellos_do_not_count(name: str) -> None:
+    """Neither a fast camera nor another host makes a command act again."""
+    robot = Robot()
+    assert heard(robot, "ARM", 9) == heard(robot, "DISARM", 10) == "OK"
+    for number in range(300):
+        fix = {"quality": 1, "capture_age_us": 0, "x_m": 0.1, "y_m": 0.0, "heading_rad": 0.0}
+        values = hello() if name == "HELLO" else fix | {"fix_sequence": number}
+        robot.now_us += 10_000
+        assert heard(robot, name, number, values) == "OK"
+        assert heard(robot, "ARM", 9) == "OK" and robot.memory.state == link_layout().state["DISARMED"]
+    assert robot.ask("HELLO")["newest"] == 10
+
+
+def test_hosts_that_follow_each_other_count_on() -> None:
+    robot = Robot()
+    for host in range(100):
+        number = int(robot.ask("HELLO")["newest"])
+        assert heard(robot, "ARM", number + 1) == heard(robot, "DISARM", number + 2) == "OK", host
+        assert heard(robot, "ARM", number + 3) == "OK", host
+        assert robot.memory.state == link_layout().state["ARMED"], host
+        assert heard(robot, "DISARM", number + 4) == "OK", host
 
 
 def test_the_same_number_with_other_contents_is_another_command() -> None:
@@ -289,15 +321,3 @@ def test_the_same_number_with_other_contents_is_another_command() -> None:
     robot.raw(pack_frame("ARM", "command", 7, {})[:-1])
     robot.take_bytes()
     assert robot.state() == "ARMED"
-
-
-def test_a_new_conversation_begins_the_numbers_anew() -> None:
-    robot = Robot()
-    arm, disarm = (pack_frame(name, "command", 2, {})[:-1] for name in ("ARM", "DISARM"))
-    for conversation, state in ((5, "ARMED"), (5, "DISARMED"), (6, "ARMED")):
-        robot.raw(pack_frame("HELLO", "command", 1, hello(conversation))[:-1])
-        robot.raw(arm)
-        robot.take_bytes()
-        assert robot.state() == state, conversation
-        robot.raw(disarm)
-        robot.take_bytes()

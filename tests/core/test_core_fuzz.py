@@ -67,7 +67,8 @@ BROKEN = {
         "fk_key_commands.c", "(is_owned && fk_frame_needs_code(frame->type))", "(0)",
     ),
     "any code is taken": (
-        "fk_key_commands.c", "if (!is_owned || fk_auth_check(&robot->auth, frame) != FK_STATUS_OK) {",
+        "fk_key_commands.c",
+        "if (!is_owned || fk_auth_check(&robot->auth, frame, robot->now_us) != FK_STATUS_OK) {",
         "frame->type &= (uint8_t)~FK_AUTH_BIT;\n    if (!is_owned) {",
     ),
     "what a stranger sends keeps it armed": ("fk_link.c", "if (!fk_robot_is_owned(robot)) {", "{"),

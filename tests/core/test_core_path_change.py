@@ -22,7 +22,8 @@ from tests.core.core import (
     mutated,
 )
 from tests.core.log_rig import fetched, robot_with_log
-from tests.core.test_core_log_replay import live, replayed, restored, snapshot_of
+from tests.core.test_core_log_replay import live, replayed
+from tests.core.test_core_snapshot import restored, snapshot_of
 
 from frogkick.estimator.follow import Follow
 from frogkick.link.frames import Frame

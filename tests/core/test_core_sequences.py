@@ -126,7 +126,7 @@ CODE = {
         "fk_robot_state.c", "    (void)fk_robot_supervise(robot, FK_EVENT_ERROR);", "", "latched",
     ),
     "all off forgotten": (
-        "fk_robot.c", "outputs->all_off = robot->all_off;", "outputs->all_off = 0u;", "off",
+        "fk_robot.c", "(robot->all_off != 0u || robot->off_again != 0u) ? 1u : 0u;", "0u;", "off",
     ),
     "a reset forgets": ("fk_guard.c", "limb, persistent->on_us[limb]);", "limb, 0u);", "duty"),
     "unknown heat is none": ("fk_guard.c", "limb->on_us[0] = FK_DUTY_ON_MAX_US;", "", "duty"),

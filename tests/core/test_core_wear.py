@@ -11,7 +11,8 @@ import pytest
 from tests.core.core import STATUS, Robot, cases, image
 from tests.core.estimator_rig import swim
 from tests.core.log_rig import fetched, robot_with_log
-from tests.core.test_core_log_replay import replayed, restored, snapshot_of
+from tests.core.test_core_log_replay import replayed
+from tests.core.test_core_snapshot import restored, snapshot_of
 
 from frogkick.estimator.follow import IDLE_LACKING_MAX
 from frogkick.estimator.wear import HELD, OFF, ON

@@ -15,7 +15,8 @@ from tests.core.core import FFI, Robot, cases, core, image, library, mutated
 from tests.core.log_rig import fetched, robot_with_log
 from tests.core.store_rig import Flash, crc_of
 from tests.core.test_core_guard_history import flipped
-from tests.core.test_core_log_replay import replayed, snapshot_of
+from tests.core.test_core_log_replay import replayed
+from tests.core.test_core_snapshot import snapshot_of
 from tests.core.test_core_table_commands import send
 from tests.core.test_core_wear import lost_of, set_learn, worn
 from tests.planner import synthetic

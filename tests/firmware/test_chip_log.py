@@ -40,7 +40,7 @@ def swum() -> tuple[VirtualRobot, Session, Recording]:
         rig.new_pool("sine"),
         rig.recording(shape("sine"), RunOptions(PlanConfig(depth=2), True, seconds)),
     )
-    session = Session(port, time_s=recording.end_s + 1.0, conversation=2)
+    session = Session(port, time_s=recording.end_s + 1.0)
     session.handshake(rig.tables())
     return port, session, recording
 
@@ -168,7 +168,7 @@ def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
     before = fetch_log(session)
     port.chip.hang()
     session.step(session.time_s + 1.1)
-    again = Session(port, time_s=session.time_s, conversation=2)
+    again = Session(port, time_s=session.time_s)
     again.handshake(rig.tables())
     log = fetch_log(again)
     assert log.stretches[0].content.startswith(before.stretches[0].content)

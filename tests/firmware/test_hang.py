@@ -63,7 +63,6 @@ def test_a_hang_in_the_middle_of_a_pulse(into_pulse_s: float) -> None:
     (reset_us,) = port.chip.resets
     assert hung_s < reset_us * 1e-6 <= hung_s + WATCHDOG_S
     # Disarmed, and it says why it began anew.
-    session.conversation = 2
     session.handshake(rig.tables())
     status = session.request("STATUS")
     assert (status["state"], status["reset"], status["fault"]) == (
@@ -158,7 +157,6 @@ def test_two_reasons_are_not_mixed_up() -> None:
     port, session = armed()
     port.chip.hang()
     session.step(session.time_s + WATCHDOG_S + 0.1)
-    session.conversation = 2
     session.handshake(rig.tables())
     assert session.request("STATUS")["reset"] == RESET["WATCHDOG"]
     (power,) = (block for block in port.chip.peripherals if block.name == "POWER")

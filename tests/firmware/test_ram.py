@@ -16,7 +16,7 @@ from frogkick.pool.chip.image import Layouts
 from frogkick.pool.chip.stack import StackAnalysis
 
 STRUCTURE_BYTES = {
-    "fk_robot_t": 7900,
+    "fk_robot_t": 7600,
     "fk_frame_collector_t": 244,
     "fk_store_t": 320,
     "fk_guard_persistent_t": 36,

@@ -108,7 +108,7 @@ class Stranger:
 
     def find_clock(self) -> None:
         """The robot's clock against the chip's, to the cycle: TIMER0 is that clock."""
-        self.ask("HELLO", hello(1 + self.resets))
+        self.ask("HELLO", hello())
         (timer,) = (one for one in self.port.chip.peripherals if one.name == "TIMER0")
         assert isinstance(timer, Timer)
         self.clock_s = timer.zero_cycle / CYCLES * 1e-6

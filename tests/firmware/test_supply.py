@@ -125,7 +125,6 @@ def test_a_reset_with_a_low_supply() -> None:
     port.chip.hang()
     session.step(session.time_s + 1.2)
     assert len(port.chip.resets) == 1
-    session.conversation = 2
     session.handshake(rig.tables())
     assert state_and_supply(session) == (STATE["DISARMED"], SUPPLY["LOW"])
 
@@ -150,7 +149,7 @@ def test_a_run_ends_where_the_supply_falls(onboard: bool) -> None:
     assert recording.ended == ENDED["SUPPLY"] and not recording.completed
     assert recording.end_s < made[2] + 3.0
     assert all(edge.time_s < made[2] + 0.002 for edge in recording.edges if edge.level)
-    session = Session(port, time_s=recording.end_s + 1.0, conversation=2)
+    session = Session(port, time_s=recording.end_s + 1.0)
     session.handshake(rig.tables())
     log = fetch_log(session)
     found = replay_log(log, rig.firmware("native").image, [rig.tables()])

@@ -316,6 +316,25 @@ def test_pairing_opens_after_a_power_on_and_shuts_after_three_failures(played: P
     assert not robot.pair(right=True), "until it is switched off and on"
 
 
+@pytest.mark.parametrize(("level", "stays"), [(1, False), (2, False), (3, True), (4, True)])
+def test_who_never_pairs_does_not_keep_the_only_connection(played: Path, level: int, stays: bool) -> None:
+    """A minute after it connected, and each one anew; who pairs within it stays."""
+    robot = ZephyrRobot(played, played.parent)
+    for begin_s in (10.0, 1000.0):
+        robot.advance(begin_s)
+        robot.stage.play_security(1)
+        robot.connect(subscribed=False)
+        robot.advance(begin_s + 58.0)
+        assert robot.stage.play_is_connected()
+        robot.stage.play_security(level)
+        robot.advance(begin_s + 62.0)
+        assert bool(robot.stage.play_is_connected()) == stays
+        if stays:
+            robot.advance(begin_s + 600.0)
+            assert robot.stage.play_is_connected()
+            robot.stage.play_disconnect()
+
+
 def test_nobody_new_pairs_late_or_after_a_watchdog_s_reset(played: Path) -> None:
     robot = ZephyrRobot(played, played.parent)
     robot.advance(3600.0)

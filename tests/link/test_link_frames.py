@@ -113,6 +113,16 @@ def encoded_of(raw: bytes) -> bytes:
     return bytes(cobs.encode(raw + struct.pack("<I", zlib.crc32(raw))))
 
 
+def test_a_hello_is_refused_by_another_protocol_s_layout() -> None:
+    """Of every protocol from 2 on these two fields are the same; only a refusal may have another length."""
+    for rest in (b"", bytes(32), bytes(34), bytes(60)):
+        frame = unpack_frame(encoded_of(b"\x81\1\xb5\6" + rest))
+        assert frame.values["status"] == link_layout().status["VERSION"]
+        assert frame.values["protocol_version"] == 6
+        with pytest.raises(FrameError, match="layout"):
+            unpack_frame(encoded_of(b"\x81\1\0\6" + rest))
+
+
 def test_what_does_not_fit_the_layout_is_a_frame_error() -> None:
     for encoded in (b"", b"\x05ab", b"\0", encoded_of(b"")[:-1], encoded_of(b"\x01")):
         with pytest.raises(FrameError):
@@ -121,7 +131,7 @@ def test_what_does_not_fit_the_layout_is_a_frame_error() -> None:
         with pytest.raises(FrameError, match="unknown"):
             unpack_frame(encoded_of(raw))
     for raw in (
-        b"\x01\1\0",
+        b"\x01\1\0\0",
         b"\x04\1" + bytes(18),
         b"\x60\1\0",
         b"\x05\1" + bytes(4),

@@ -6,6 +6,7 @@ import random
 import stat
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from tests.runs import rig
 import frogkick as fk
 from frogkick.core.files import write_bytes
 from frogkick.link import auth
-from frogkick.link.frames import Frame
+from frogkick.link.frames import Frame, pack_frame
 from frogkick.link.layout import link_layout
 from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
@@ -29,7 +30,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import run_session
 from frogkick.runs.lab_session import LabPort, LabSession, lab_session
 from frogkick.runs.pushing import own, upload
-from frogkick.runs.record import RunOptions
+from frogkick.runs.record import DISARMED, RunOptions
 from frogkick.runs.session import LinkError
 from frogkick.tables.image import open_image
 
@@ -77,14 +78,14 @@ def test_a_robot_gets_an_owner_and_loses_him(
     output = frogkick(capsys, "own", "--robot", target)
     key = home / "frogkick" / "owner.key"
     assert output.code == 0 and str(key) in output.stdout and "copy" in output.stdout
-    assert owner_of(robot) == bytes.fromhex(key.read_text()) != bytes(32)
+    assert owner_of(robot) == auth.read_keys(key)[0].secret != bytes(32)
     if sys.platform != "win32":
         assert stat.S_IMODE(key.stat().st_mode) == 0o600
     output = frogkick(capsys, "push", new, "--robot", target)
     assert output.code == 0 and robot.flash.image == NEW, output.stderr
     again = frogkick(capsys, "own", "--robot", target, "--json")
     assert again.json == {"robot": target, "owned": True, "key": str(key)}
-    assert owner_of(robot) == bytes.fromhex(key.read_text())
+    assert owner_of(robot) == auth.read_keys(key)[0].secret
 
     moved = tmp_path / "moved.key"
     key.rename(moved)
@@ -103,7 +104,7 @@ def test_a_robot_gets_an_owner_and_loses_him(
     none = tmp_path / "none.key"
     refused(frogkick(capsys, "own", "--robot", target, "--key", none), "only from its owner", str(none))
     assert not none.exists()
-    assert robot.flash.image == NEW and owner_of(robot) == bytes.fromhex(moved.read_text())
+    assert robot.flash.image == NEW and owner_of(robot) == auth.read_keys(moved)[0].secret
 
     output = frogkick(capsys, "push", "--rollback", "--robot", target, "--key", moved)
     assert output.code == 0 and robot.flash.image == OLD
@@ -302,6 +303,108 @@ def test_a_run_of_its_owner(transport: str, tmp_path: Path, monkeypatch: pytest.
         recording = run_session(session, source, rig.recording(shape(PATH), options))
     assert len(recording.decisions) == 2 and robot.pulses
     assert sum(fix.robot_status == 0 for fix in recording.fixes) > 10
+
+
+@contextmanager
+def owners(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[LabSession, LiveRobot]]:
+    """A robot on a serial line, and a session of its owner's."""
+    robot = LiveRobot(clock=PatientClock(), on_for_s=100.0)
+    with rigged("serial", robot, folder, monkeypatch) as there:
+        session = LabSession(LabPort(there.wire, robot.clock))
+        own(session)
+        yield session, robot
+
+
+def frame_of_a_stranger(robot: LiveRobot, name: str, number: int = 0) -> None:
+    values = auth.words("nonce", number.to_bytes(16, "big")) if name == "CHALLENGE" else {}
+    robot.feed(pack_frame(name, "command", number & 0xFF, values))
+
+
+def test_a_conversation_that_has_ended_is_begun_again_unasked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its own DISARM the host knows; of a stranger's, a lost connection and silence it is told."""
+    with owners(tmp_path, monkeypatch) as (session, robot):
+
+        def silence() -> None:
+            robot.core.memory.heard_us = 0
+
+        def strangers() -> None:
+            for number in range(50):
+                frame_of_a_stranger(robot, "CHALLENGE", number)
+            frame_of_a_stranger(robot, "DISARM")
+
+        for end in (
+            lambda: session.request("DISARM"),
+            strangers,
+            lambda: robot.core.core.fk_robot_note_link_lost(robot.core.memory),
+            silence,
+        ):
+            session.request("ARM")
+            end()
+            session.set_parameters({"LEVEL_WEIGHT": 0.5})
+            session.request("ARM")
+            assert robot.core.memory.state == link_layout().state["ARMED"]
+            before = len(robot.heard)
+            session.request("STATUS")
+            session.set_parameters({"LEVEL_WEIGHT": 0.6})
+            assert "CHALLENGE" not in robot.names()[before:], "one conversation for all that follows"
+
+
+def test_a_robot_that_is_disarmed_without_end_is_told_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stranger switches it off before every command: the host gives up."""
+    with owners(tmp_path, monkeypatch) as (session, robot):
+
+        def disarmed_before(frame: Frame) -> bool:
+            if frame.name == "ARM":
+                frame_of_a_stranger(robot, "DISARM")
+            return False
+
+        robot.deaf_to = disarmed_before
+        with pytest.raises(LinkError, match="refuses ARM: MAC"):
+            session.request("ARM")
+        assert robot.names().count("ARM") == 3
+
+
+@pytest.mark.parametrize("onboard", [True, False])
+@pytest.mark.parametrize(
+    ("happens", "words"),
+    [
+        ("restart", "restarted during the run"),
+        ("DISARM", DISARMED),
+        ("another host", "another host that has"),
+    ],
+)
+def test_a_run_that_its_owner_loses(
+    happens: str, words: str, onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot takes his commands no longer; he hears it at his next one, not at the run's end."""
+    with owners(tmp_path, monkeypatch) as (session, robot):
+
+        def decided(_time_s: float, _index: int) -> None:
+            if happens == "restart":
+                robot.restart()
+            elif happens == "DISARM":
+                frame_of_a_stranger(robot, "DISARM")
+            else:  # as it would take over after a STOP
+                frame_of_a_stranger(robot, "STOP")
+                key = auth.read_keys(auth.default_key_file())[0].secret
+                robot.core.auth = None
+                values = robot.core.ask("CHALLENGE", auth.words("nonce", bytes(16)))
+                robot.core.auth = auth.begin(key, bytes(16), values)
+                robot.core.ask("ARM")
+
+        recording = rig.recording(shape(PATH), RunOptions(PlanConfig(depth=1), onboard, 20 * rig.PERIOD_S))
+        source = LivePool(robot.pulses, robot.clock)
+        if words is DISARMED:
+            run_session(session, source, recording, decided)
+            assert recording.ended == DISARMED
+        else:
+            with pytest.raises(LinkError, match=words):
+                run_session(session, source, recording, decided)
+        assert len(recording.decisions) == 1 and robot.left_alone()
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)

@@ -92,7 +92,7 @@ def reset(port: Port, session: Session) -> Session:
     else:
         port.hang()
     session.step(session.time_s + 1.3)
-    again = AfterReset(port, time_s=session.time_s, conversation=session.conversation + 1)
+    again = AfterReset(port, time_s=session.time_s)
     again.handshake(tables())
     assert again.request("STATUS")["reset"] == link_layout().reset["WATCHDOG"]
     return again
@@ -147,7 +147,7 @@ def test_a_later_run_hangs_on_none_before_it(learn: bool, images: dict[str, Path
     learned = known(session)[1]
     for pause_s in (1.0, 30.0):
         session.step(session.time_s + pause_s)
-        session = Session(port, time_s=session.time_s, conversation=session.conversation + 1)
+        session = Session(port, time_s=session.time_s)
         recording, check = swim(session, SECOND_S, learn)
         assert check.unchecked == 0 and check.agreed == len(recording.decisions) > 5
         assert recording.decisions[0].lost == learned and any(learned) == learn
@@ -192,7 +192,7 @@ def test_without_supply_it_is_forgotten(place: str, images: dict[str, Path]) -> 
         assert known(session)[1][0] == 9000
         port.cut_power(1.0)
         session.step(session.time_s + 1.3)
-        session = Session(port, time_s=session.time_s, conversation=2)
+        session = Session(port, time_s=session.time_s)
         session.handshake(tables())
         assert known(session) == (link_layout().learn["OFF"], (0,) * 8)
 

@@ -17,7 +17,6 @@ from tests.soak.watch import UPDATE_S, Watch
 from tests.soak.witness import SeenRobot
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.frames import hello
 from frogkick.link.layout import Arguments, Value, link_layout
 from frogkick.link.wire import Edge
 from frogkick.planner.plan import config_of
@@ -25,7 +24,7 @@ from frogkick.pool.pool import Camera
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import SETTLE_S, START_DELAY_S, parameters
 from frogkick.runs.pushing import upload
-from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, LinkError, Session
+from frogkick.runs.session import STEP_S, LinkError, Session
 from frogkick.tables.image import Tables
 
 CAMERA = Camera(rate_hz=10.0, delay_s=0.08, jitter_s=0.32, lost=0.3, outliers=0.01)
@@ -44,9 +43,7 @@ WRAP_US = (2**32, 2**32 * 1000, 2**33, 2**40)
 class PatientSession(Session):
     """A session that asks again, with the same bytes, where no answer comes: the robot acts once."""
 
-    def ask_all(
-        self, name: str, many: Sequence[Arguments], timeout_s: float = ANSWER_TIMEOUT_S
-    ) -> list[dict[str, Value]]:
+    def _ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float) -> list[dict[str, Value]]:
         assert isinstance(self.port, Radio)
         sent: dict[int, bytes] = {}
         for values, rows in many:
@@ -131,10 +128,9 @@ class Life:
         self._next_s = plan.begin_s
         self._sampled_s = 0.0
         self._remembered_s = 0.0
-        self._conversation = 0
         self._decided_s = 0.0
         self._ended = False
-        self.session = self._new_session()
+        self.session = PatientSession(self.radio, self._on_step)
 
     @property
     def faults(self) -> list[str]:
@@ -143,11 +139,6 @@ class Life:
     @property
     def time_s(self) -> float:
         return self.session.time_s
-
-    def _new_session(self) -> PatientSession:
-        self._conversation = self._conversation % 65535 + 1
-        time_s = self.session.time_s if self._conversation > 1 else 0.0
-        return PatientSession(self.radio, self._on_step, time_s, conversation=self._conversation)
 
     # The world.
 
@@ -277,8 +268,8 @@ class Life:
 
     def _connect(self) -> None:
         """Which robot is it, and what does it use now? No run goes on from before."""
-        self.session = session = self._new_session()
-        running = int(session.request("HELLO", hello(session.conversation))["table_crc"])
+        self.session = session = PatientSession(self.radio, self._on_step, self.time_s)
+        running = int(session.hello()["table_crc"])
         if running != self._running and running != self._wanted:
             self.watch.faults.append(f"at {self.time_s:.1f} s the robot uses table {running:08x}")
         session.handshake(self._tables[running])

@@ -24,8 +24,8 @@ def robot() -> NativeRobot:
     return NativeRobot(rig.library(), 4)
 
 
-def rested(robot: NativeRobot, conversation: int = 1) -> Session:
-    session = Session(robot, time_s=max(robot.up_s, robot.time_s), conversation=conversation)
+def rested(robot: NativeRobot) -> Session:
+    session = Session(robot, time_s=max(robot.up_s, robot.time_s))
     session.step(session.time_s + 0.7)
     return session
 
@@ -46,10 +46,10 @@ def test_a_table_by_radio_outlives_power_and_watchdog(robot: NativeRobot) -> Non
     assert upload(session, new.image).bytes_sent == len(new.image)
     session.handshake(new)
     robot.cut_power(0.5)
-    session = rested(robot, 2)
+    session = rested(robot)
     session.handshake(new)
     robot.hang()
-    session = rested(robot, 3)
+    session = rested(robot)
     session.handshake(new)
     answer = session.request("TABLE_STATUS")
     assert (answer["running"], answer["slots"], answer["erases_1"], answer["erases_journal"]) == (1, 2, 1, 1)
@@ -87,7 +87,7 @@ def test_an_update_cut_by_a_reset_goes_on_behind_its_last_whole_page(robot: Nati
     with pytest.raises(Cut):
         upload(session, new.image, stop)
     robot.cut_power(0.1)
-    session = rested(robot, 2)
+    session = rested(robot)
     session.handshake(old)
     assert upload(session, new.image).resumed_at == 4096
     session.handshake(new)
@@ -152,14 +152,14 @@ def test_heat_outlives_the_watchdog_and_a_time_without_supply(robot: NativeRobot
             robot.cut_power(0.1)
         else:
             robot.hang()
-        session = rested(robot, 2)
+        session = rested(robot)
         session.request("ARM")
         session.request("STROKE", {"action": action})
         session.step(session.time_s + 0.05)
         return int(session.request("STATUS")["pulses_refused"])
 
     assert refused_after("hang", 5) == 1
-    session = rested(robot, 3)
+    session = rested(robot)
     session.step(session.time_s + 5.0)
     assert refused_after("hang", 2) == 0
     assert refused_after("power", 5) == refused_after("power", 0) == 1

@@ -166,8 +166,6 @@ class SeenRobot(NativeRobot):
             self._see(int(values["capture_us"]) + zero_us, FIX, 0)
         elif name in _HEARD and status == 0 and not again:
             self._see(self._now_us, _HEARD[name], 0)
-        elif name == "HELLO" and status == 0 and not again:
-            self._recent.clear()  # sequence numbers begin anew
         elif name == "STATUS":
             self._see(self._now_us, STATE, int(values["state"]))
             self._compare(values, zero_us)

@@ -4,6 +4,7 @@
 #include <zephyr/bluetooth/bluetooth.h>
 #include <zephyr/bluetooth/conn.h>
 #include <zephyr/bluetooth/gatt.h>
+#include <zephyr/bluetooth/hci.h>
 #include <zephyr/bluetooth/uuid.h>
 #include <zephyr/drivers/hwinfo.h>
 #include <zephyr/kernel.h>
@@ -23,6 +24,7 @@
 #define SENDER_PRIORITY K_PRIO_PREEMPT(5)
 #define RETRY_MS 10
 #define PAIRINGS_MAX 3u
+#define UNPAIRED_S 60  /* the only connection is not for a host that never pairs; its user may look for the passkey so long */
 #define TRIES_MAX 500u /* 5 s without a buffer: the frame is dropped */
 
 #define NUS_SERVICE BT_UUID_128_ENCODE(0x6e400001, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
@@ -41,6 +43,7 @@ RING_BUF_DECLARE(received, RECEIVE_BYTES);
 static void (*tell_arrival)(void);
 static atomic_t dropped;
 static atomic_t dropped_frames;
+static atomic_t connected_s; /* 1 + the time at which the host connected; 0: none has, or it is known to have paired */
 
 static uint8_t outgoing[FK_RADIO_SEND_BYTES];
 static uint32_t outgoing_bytes;
@@ -103,15 +106,33 @@ static void on_recycled(void)
     (void)k_work_submit(&advertise_work); /* the connection is free again: only now may advertising start */
 }
 
+static void on_connected(struct bt_conn *conn, uint8_t error)
+{
+    (void)conn;
+    if (error == 0) {
+        atomic_set(&connected_s, (atomic_val_t)(k_uptime_get() / 1000) + 1);
+    }
+}
+
 static void on_disconnected(struct bt_conn *conn, uint8_t reason)
 {
     (void)conn;
     (void)reason;
+    atomic_set(&connected_s, 0);
     atomic_set(&dropped, 1);
     tell_arrival();
 }
 
-BT_CONN_CB_DEFINE(connection) = {.disconnected = on_disconnected, .recycled = on_recycled};
+BT_CONN_CB_DEFINE(connection) = {.connected = on_connected, .disconnected = on_disconnected, .recycled = on_recycled};
+
+static void find(struct bt_conn *conn, void *found)
+{
+    struct bt_conn_info info;
+
+    if (bt_conn_get_info(conn, &info) == 0 && info.state == BT_CONN_STATE_CONNECTED) {
+        *(struct bt_conn **)found = bt_conn_ref(conn);
+    }
+}
 
 #if !defined(CONFIG_FROGKICK_OPEN_LINK)
 static void count_bond(const struct bt_bond_info *bond, void *count)
@@ -186,6 +207,25 @@ static uint32_t on_passkey_wanted(struct bt_conn *conn)
 }
 #endif
 
+/* The core's loop calls it at each turn, several times a second. */
+static void drop_unpaired(void)
+{
+    const atomic_val_t since_s = atomic_get(&connected_s);
+    struct bt_conn *conn = NULL;
+
+    if (since_s == 0 || (atomic_val_t)(k_uptime_get() / 1000) - since_s < UNPAIRED_S) {
+        return;
+    }
+    atomic_set(&connected_s, 0);
+    bt_conn_foreach(BT_CONN_TYPE_LE, find, &conn);
+    if (conn != NULL) {
+        if (bt_conn_get_security(conn) < BT_SECURITY_L3) { /* which the service asks for */
+            (void)bt_conn_disconnect(conn, BT_HCI_ERR_AUTH_FAIL);
+        }
+        bt_conn_unref(conn);
+    }
+}
+
 static const struct bt_conn_auth_cb authentication = {
     .pairing_accept = on_pairing,
     .passkey_display = on_passkey,
@@ -243,16 +283,10 @@ int32_t fk_radio_read(uint8_t *byte)
 
 int32_t fk_radio_take_drop(void)
 {
+#if !defined(CONFIG_FROGKICK_OPEN_LINK)
+    drop_unpaired();
+#endif
     return (int32_t)atomic_set(&dropped, 0);
-}
-
-static void find(struct bt_conn *conn, void *found)
-{
-    struct bt_conn_info info;
-
-    if (bt_conn_get_info(conn, &info) == 0 && info.state == BT_CONN_STATE_CONNECTED) {
-        *(struct bt_conn **)found = bt_conn_ref(conn);
-    }
 }
 
 /* bt_gatt_notify waits for a buffer as long as the connection lasts, or returns an error where there is none. */

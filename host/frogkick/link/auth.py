@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from frogkick.core.errors import InputError
+from frogkick.link.layout import AUTH_BIT, link_layout
 
 KEY_BYTES = 32
 NONCE_BYTES = 16
@@ -47,20 +48,23 @@ class CommandCodes:
     """Authentication codes of commands, once the robot has proved that it has the key."""
 
     key: bytes = field(repr=False)
-    counter: int = 0
+    counter: int = 0  # of the last command other than FIX
+    fix_counter: int = 0  # of the last FIX
 
     def code(self, number: int, sequence: int, payload: bytes) -> bytes:
         """Counter and code of the next command, which follow its payload.
 
         ``number`` is the frame's type with ``AUTH_BIT``, ``sequence`` its sequence number.
         """
-        self.counter += 1
-        counter = struct.pack("<I", self.counter)
+        is_fix = number == link_layout().messages["FIX"].id | AUTH_BIT
+        self.fix_counter += is_fix
+        self.counter += not is_fix
+        counter = struct.pack("<I", self.fix_counter if is_fix else self.counter)
         return counter + _code(self.key, bytes([number, sequence]), payload, counter)[:CODE_BYTES]
 
 
 def challenge() -> bytes:
-    """Random bytes that a robot is to answer for, fresh for each connection."""
+    """Random bytes that a robot is to answer for, fresh for each conversation."""
     return secrets.token_bytes(NONCE_BYTES)
 
 
@@ -76,11 +80,11 @@ def from_words(name: str, values: Mapping[str, int | float | str], count: int) -
 
 def begin(key: bytes, host_nonce: bytes, answer: Mapping[str, int | float | str]) -> CommandCodes | None:
     """Codes after a robot's answer to CHALLENGE; None if the robot has another key."""
-    nonces = host_nonce + from_words("nonce", answer, 4)
-    proof = _code(key, _OF_ROBOT, nonces)[:16]
+    robot_nonce = from_words("nonce", answer, 4)
+    proof = _code(key, _OF_ROBOT, host_nonce, robot_nonce)[:16]
     if not hmac.compare_digest(proof, from_words("proof", answer, 4)):
         return None
-    return CommandCodes(_code(key, _OF_COMMAND, nonces))
+    return CommandCodes(_code(key, _OF_COMMAND, robot_nonce))
 
 
 def default_key_file() -> Path:

@@ -131,8 +131,9 @@ def unpack_frame(encoded: bytes) -> Frame:
     payload: Payload | None = getattr(message, kind, None)
     if message is None or payload is None:
         raise FrameError(f"frame type 0x{raw[0]:02x} is unknown to protocol {link_layout().protocol_version}")
-    if kind == "answer" and len(body) == 1 and body >= b"\x80":  # a refusal, negative
-        body = body.ljust(payload.bytes, b"\0")
+    if is_answer and body >= b"\x80" and (len(body) == 1 or message.name == "HELLO"):
+        # A refusal, whose status is negative. That of HELLO may come in another protocol's length.
+        body = body[: payload.bytes].ljust(payload.bytes, b"\0")
     extra = len(body) - payload.bytes
     per_row = payload.repeat_bytes
     if extra < 0 or (extra and (not per_row or extra % per_row or extra > per_row * payload.repeat_max)):
@@ -177,9 +178,9 @@ class FrameCollector:
         return frames
 
 
-def hello(conversation: int = 0) -> dict[str, Value]:
-    """Values of a HELLO. ``conversation``, 0 to 65535, differs from that of the robot's last HELLO."""
-    return {"protocol_version": link_layout().protocol_version, "conversation": conversation}
+def hello() -> dict[str, Value]:
+    """Values of a HELLO."""
+    return {"protocol_version": link_layout().protocol_version}
 
 
 def path_frames(points: Sequence[Sequence[float]]) -> list[Arguments]:

@@ -398,12 +398,22 @@ class _Run:
             recording.completed = values["status"] == 0
             name = link_layout().status_name(int(values["status"]))
             recording.ended = ENDED.get(name, name)
+        refusals = (link_layout().status["AUTH"], link_layout().status["MAC"])
+        if frame.kind == "answer" and values["status"] in refusals and not recording.ended:
+            self._check_conversation()
 
     def _check_disarmed(self) -> None:
-        """End the run if the robot refused a stroke because it has disarmed itself."""
+        """End the run if the robot refused a command because it has disarmed itself."""
         status = self.session.request("STATUS")
         if status["state"] == link_layout().state["DISARMED"] and not self.recording.ended:
             self.recording.ended = why_disarmed(status)
+
+    def _check_conversation(self) -> None:
+        """End the run, as the robot takes its owner's commands no longer from this host, and say why."""
+        self.session.check_clock_sync(self.session.time_s, 0)
+        self._check_disarmed()
+        if not self.recording.ended:
+            raise LinkError("another host that has the robot's key commands it: run when that one is done")
 
     def _raise_fault(self) -> None:
         status = self.session.request("STATUS")

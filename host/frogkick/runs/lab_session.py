@@ -14,7 +14,7 @@ from pathlib import Path
 from frogkick.link.frames import Frame, FrameCollector, hello, unpack_frame
 from frogkick.link.layout import Arguments, Value
 from frogkick.link.wire import Delivery, Edge, Wire
-from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, LinkError, Session
+from frogkick.runs.session import STEP_S, LinkError, Session
 from frogkick.runs.text_robot import TextRobot
 from frogkick.tables.image import Tables
 
@@ -37,8 +37,8 @@ PAUSE_S = 1.0
 SWITCH_OFF = ("DISARM", "STOP")
 """Commands that wait for none. Those before them that have no answer are not sent any more: a robot that was
 switched off must not get an older ARM."""
-RESEND_NUMBERS = 100
-"""A command is not sent again when so many sequence numbers were used since: the robot remembers 127."""
+RESEND_NUMBERS = 15
+"""A command is not sent again when more sequence numbers were used since: the robot keeps 16 answers."""
 SWITCH_S = 0.002
 """Longest time that a computing thread keeps others waiting; Python's 5 ms are a quarter of a fix period."""
 
@@ -93,14 +93,14 @@ class LabPort:
     def send(self, encoded: bytes, at_s: float) -> None:
         """Send a frame now; ``at_s`` only matters in simulated time."""
         frame = unpack_frame(encoded[:-1])  # a port gets bytes alone, as the robot does
+        if frame.name == "FIX":
+            self.wire.send(encoded, Delivery.NEWEST)
+            return
         self._commands = [
             command
             for command in self._commands
             if frame.name not in SWITCH_OFF and (frame.sequence - command.sequence) & 0xFF <= RESEND_NUMBERS
         ]
-        if frame.name == "FIX":
-            self.wire.send(encoded, Delivery.NEWEST)
-            return
         self._commands.append(_Command(frame.name, frame.sequence, encoded))
         self._fill_window()
 
@@ -137,7 +137,7 @@ class LabPort:
     def _take(self, arrival_s: float, data: bytes) -> None:
         for frame in self._collector.feed(data):
             self._frames.append((arrival_s, frame))
-            if frame.kind == "answer":
+            if frame.kind == "answer" and frame.name != "FIX":  # which has numbers of its own
                 self.forget(frame.sequence)
 
     def _fill_window(self) -> None:
@@ -175,12 +175,10 @@ class LabSession(Session):
     """A ``Session`` in real time."""
 
     port: LabPort | TextRobot
-    # Random, to differ from the last one. 0 and 1 are those of simulated robots.
-    conversation: int = field(default_factory=lambda: 1 + secrets.randbelow(65_535))
     # longest time that the wire may be down during a request; it does not count as waiting
     patience_s: float = 60.0
-    # Random too: an answer that an earlier session no longer waited for may still come.
-    _sequence: int = field(default_factory=lambda: secrets.randbelow(64))
+    # Random: an answer that an earlier session no longer waited for may still come.
+    _apart: int = field(default_factory=lambda: secrets.randbelow(64))
     _down_s: float = 0.0
     _connections: int = 1
     _clock_failed: bool = False
@@ -260,9 +258,7 @@ class LabSession(Session):
     def window(self) -> int:
         return self.port.wire.window
 
-    def ask_all(
-        self, name: str, many: Sequence[Arguments], timeout_s: float = ANSWER_TIMEOUT_S
-    ) -> list[dict[str, Value]]:
+    def _ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float) -> list[dict[str, Value]]:
         sequences = [self.post(name, values, rows) for values, rows in many]
         answers: dict[int, dict[str, Value]] = {}
         timeout_s, waited_s, down_s = max(timeout_s, ANSWER_S), 0.0, 0.0
@@ -339,7 +335,7 @@ class LabSession(Session):
     def _hello(self) -> dict[str, Value]:
         for _ in range(HELLO_TRIES):
             try:
-                return self.ask("HELLO", hello(self.conversation))
+                return self.ask("HELLO", hello())
             except LinkError:
                 continue
         damaged = f" ({self.port.bad} damaged frames came)" if self.port.bad else ""

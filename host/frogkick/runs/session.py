@@ -28,12 +28,11 @@ HELLO_TIMEOUT_S = 0.05
 HELLO_TRIES = 20
 DISARM_TRIES = 3
 NUMBERS_MOST = 127
-"""Sequence numbers in use after the newest answered one, at most. The robot takes one farther ahead for
+"""Sequence numbers in use after the newest answered one, at most. The robot takes one much farther ahead for
 an earlier one, and an answer would fit two commands."""
-FIX_NUMBERS_MOST = 96
-"""The same for fixes, which come without end, so that commands have numbers left."""
 INBOX_MOST = 1024
 """Frames that wait to be taken, at most; of more the oldest are dropped. Fewer come while a request waits."""
+CONVERSATION_TRIES = 3  # of a command that a robot refuses its owner because their conversation has ended
 
 
 class LinkError(FrogkickError):
@@ -61,6 +60,35 @@ class Arrival:
 
 
 @dataclass
+class _Numbers:
+    """Sequence numbers of commands, or of fixes: these have their own, because so many come."""
+
+    newest: int = 0
+    unheard: int = 0  # numbers in use after the newest one that was answered
+    unanswered: dict[int, str] = field(default_factory=dict)  # number -> name of its command
+
+    def begin(self, newest: int) -> None:
+        """Go on after a number of the robot's."""
+        self.newest, self.unheard = newest, 0
+
+    def use(self, name: str) -> int:
+        """The number of a new command: that of the last one if too many were not answered."""
+        if self.unheard < NUMBERS_MOST:
+            self.newest = (self.newest + 1) & 0xFF
+            self.unheard += 1
+        self.unanswered[self.newest] = name
+        return self.newest
+
+    def answered(self, frame: Frame) -> bool:
+        """Whether an answer is the first one to a command."""
+        if self.unanswered.get(frame.sequence) != frame.name:
+            return False
+        del self.unanswered[frame.sequence]
+        self.unheard = min(self.unheard, (self.newest - frame.sequence) & 0xFF)
+        return True
+
+
+@dataclass
 class Session:
     """A session with a robot."""
 
@@ -69,14 +97,13 @@ class Session:
     on_step: Callable[[float, Sequence[Edge]], None] = lambda _time_s, _edges: None
     time_s: float = 0.0  # session time, from 0
     edges: list[Edge] = field(default_factory=list)  # pin edges so far
-    conversation: int = 1  # number of this session; it differs for each session with the same robot
     # file of the owner's key, for a robot that has one; None: ``default_key_file``
     key_file: FilePath | None = None
-    _auth: auth.CommandCodes | None = None
-    _sequence: int = 0  # newest sequence number in use
-    _unheard: int = 0  # sequence numbers in use after the newest one that was answered
-    _fix_sequence: int | None = None  # that of the newest fix
-    _unanswered: dict[int, str] = field(default_factory=dict)  # sequence number -> name of a command
+    _apart: int = 0  # sequence numbers between the robot's newest one and this session's first
+    _is_owner: bool = False  # the robot's key is known, so that a conversation with it can be begun
+    _auth: auth.CommandCodes | None = None  # of the conversation; None: none is on
+    _numbers: _Numbers = field(default_factory=_Numbers)
+    _fix_numbers: _Numbers = field(default_factory=_Numbers)
     _inbox: list[Arrival] = field(default_factory=list)
 
     def step(self, until_s: float) -> None:
@@ -93,11 +120,8 @@ class Session:
         for time_s, frame in self.port.frames():
             if frame.kind == "command":  # from a line that echoes
                 continue
-            if frame.kind == "answer":
-                if self._unanswered.get(frame.sequence) != frame.name:
-                    continue
-                del self._unanswered[frame.sequence]
-                self._unheard = min(self._unheard, (self._sequence - frame.sequence) & 0xFF)
+            if frame.kind == "answer" and not self._numbers_of(frame.name).answered(frame):
+                continue
             self._inbox.append(Arrival(time_s, frame))
         del self._inbox[:-INBOX_MOST]
 
@@ -112,24 +136,25 @@ class Session:
         sequence = self._next_sequence(name)
         encoded = pack_frame(name, "command", sequence, values, rows, self._auth)
         self.port.send(encoded, self.time_s if at_s is None else at_s)
+        if name == "DISARM":  # ends the conversation
+            self._auth = None
         return sequence
+
+    def _numbers_of(self, name: str) -> _Numbers:
+        return self._fix_numbers if name == "FIX" else self._numbers
 
     def _next_sequence(self, name: str) -> int:
         """The sequence number of a new command. An answer that came to an earlier one by it is dropped."""
-        if name == "FIX" and self._unheard >= FIX_NUMBERS_MOST and self._fix_sequence is not None:
-            return self._fix_sequence
-        if self._unheard < NUMBERS_MOST:
-            self._sequence = (self._sequence + 1) & 0xFF
-            self._unheard += 1
-        if name == "FIX":
-            self._fix_sequence = self._sequence
-        self._unanswered[self._sequence] = name
+        numbers = self._numbers_of(name)
+        sequence = numbers.use(name)
         self._inbox = [
             arrival
             for arrival in self._inbox
-            if arrival.frame.kind != "answer" or arrival.frame.sequence != self._sequence
+            if arrival.frame.kind != "answer"
+            or arrival.frame.sequence != sequence
+            or self._numbers_of(arrival.frame.name) is not numbers
         ]
-        return self._sequence
+        return sequence
 
     def post_fix(self, fix: Fix, at_s: float) -> int:
         """Send a position fix at ``at_s``, which its age counts to; return its sequence number."""
@@ -188,9 +213,24 @@ class Session:
     ) -> list[dict[str, Value]]:
         """Send a command several times with different arguments, and wait for all answers.
 
+        If the robot has an owner, a conversation is begun where none is on: whatever disarms the robot ends
+        it. What was refused for that alone is sent again.
+
         Raises:
             LinkError: an answer is missing after ``timeout_s``.
         """
+        is_guarded = self._is_owner and link_layout().messages[name].needs_code
+        for _ in range(CONVERSATION_TRIES):
+            if is_guarded and self._auth is None:
+                self.prove()
+            answers = self._ask_all(name, many, timeout_s)
+            if not is_guarded or all(answer["status"] != link_layout().status["MAC"] for answer in answers):
+                break
+            self._auth = None
+        return answers
+
+    def _ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float) -> list[dict[str, Value]]:
+        """``ask_all`` in the conversation that is on."""
         sequences = [self.post(name, values, rows) for values, rows in many]
         answers: dict[int, dict[str, Value]] = {}
         deadline_s = self.time_s + timeout_s
@@ -266,6 +306,7 @@ class Session:
             raise LinkError(
                 f"the robot speaks protocol {answer['protocol_version']}, this host {ours}: flash it again"
             )
+        self._numbers.begin((int(answer["newest"]) + self._apart) & 0xFF)
         return answer
 
     def authenticate(self) -> None:
@@ -304,6 +345,7 @@ class Session:
         for key in keys:
             self._auth = auth.begin(key.secret, nonce, answer)
             if self._auth is not None:
+                self._is_owner = True
                 return key
         raise LinkError(
             f"the owner's key in {str(file)!r} is not this robot's: give the file of its own (--key)"
@@ -315,16 +357,14 @@ class Session:
         Raises:
             LinkError: it has lost its key and obeys nobody, or it does not answer.
         """
+        self._is_owner, self._auth = False, None
         status = self.request("STATUS")
         if int(status["fault"]) == link_layout().fault["STORE"]:
             raise LinkError(
                 "the robot's flash is damaged and has lost the owner's key, so it obeys nobody: erase its "
                 "chip and flash it again, as the page about the owner's key says"
             )
-        if int(status["owner"]) != link_layout().owner["OPEN"]:
-            return False
-        self._auth = None
-        return True
+        return int(status["owner"]) == link_layout().owner["OPEN"]
 
     def require_unowned(self) -> None:
         """Raise LinkError if this host has a key of the robot, which says that it has none."""
@@ -358,7 +398,7 @@ class Session:
 
     def _hello(self) -> dict[str, Value]:
         # A robot that has just been switched on does not receive until it has checked its table.
-        values = hello(self.conversation)
+        values = hello()
         for _ in range(HELLO_TRIES - 1):
             try:
                 return self.ask("HELLO", values, timeout_s=HELLO_TIMEOUT_S)

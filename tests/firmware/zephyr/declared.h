@@ -226,6 +226,12 @@ struct bt_conn_info {
     uint8_t type;
     enum bt_conn_state state;
 };
+typedef enum __attribute__((packed)) {
+    BT_SECURITY_L0, BT_SECURITY_L1, BT_SECURITY_L2, BT_SECURITY_L3, BT_SECURITY_L4
+} bt_security_t;
+bt_security_t bt_conn_get_security(const struct bt_conn *conn);
+#define BT_HCI_ERR_AUTH_FAIL 0x05 /* hci_types.h */
+int bt_conn_disconnect(struct bt_conn *conn, uint8_t reason);
 int bt_conn_get_info(const struct bt_conn *conn, struct bt_conn_info *info);
 struct bt_conn *bt_conn_ref(struct bt_conn *conn);
 void bt_conn_unref(struct bt_conn *conn);

@@ -17,6 +17,7 @@ static uint32_t bonds;
 static const struct bt_conn_auth_cb *authentication;
 static struct bt_conn_auth_info_cb *outcome;
 static int is_connected;
+static bt_security_t security = BT_SECURITY_L4;
 static int is_subscribed;
 static int is_faded;
 static int refusal;  /* what bt_gatt_notify returns, 0: what is so */
@@ -48,6 +49,13 @@ void bt_foreach_bond(uint8_t id, void (*func)(const struct bt_bond_info *info, v
 int bt_conn_get_info(const struct bt_conn *, struct bt_conn_info *info)
 {
     info->state = is_connected ? BT_CONN_STATE_CONNECTED : BT_CONN_STATE_DISCONNECTED;
+    return 0;
+}
+bt_security_t bt_conn_get_security(const struct bt_conn *) { return security; }
+void play_disconnect(void);
+int bt_conn_disconnect(struct bt_conn *, uint8_t)
+{
+    play_disconnect();
     return 0;
 }
 struct bt_conn *bt_conn_ref(struct bt_conn *conn) { return conn; }
@@ -135,7 +143,10 @@ void play_connect(int subscribed)
     is_subscribed = subscribed;
     is_faded = 0;
     interval_us = now_us + CONNECTION_INTERVAL_US;
+    declared_conn_cb.connected(&the_conn, 0);
 }
+void play_security(int level) { security = (bt_security_t)level; }
+int play_is_connected(void) { return is_connected; }
 void play_disconnect(void)
 {
     is_connected = 0;

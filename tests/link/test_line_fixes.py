@@ -32,7 +32,7 @@ def test_lines(
     pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], None]], capfd: pytest.CaptureFixture[str]
 ) -> None:
     fixes, write, end = pipe
-    write(b"# a tracker\n\n0.1 0.2 3.5\n0.3, 0.4, -1, 0.5\n0.5 0.6")
+    write(b"\xef\xbb\xbf# after a byte order mark\n\n0.1 0.2 3.5\n0.3, 0.4, -1, 0.5\n0.5 0.6")
     fixes.wait_first(120.0)
     taken = fixes.advance(100.0)
     while len(taken) < 2:
@@ -44,7 +44,7 @@ def test_lines(
     assert (first.sequence, second.sequence) == (0, 1)
     assert first.capture_s - second.capture_s == pytest.approx(0.5, abs=0.1)
     assert first.capture_s <= first.arrival_s == 100.0
-    write(b" 0\n0 0 0 5.0\n")  # the rest of a line; one that is too old
+    write(b" 0\nnan nan nan\n0 NaN 0 0.1\n0 0 0 5.0\n")  # the rest of a line; one that is too old
     while not (taken := fixes.advance(101.0)):
         pass
     assert taken[0].pose_world == pytest.approx([0.5, 0.6, 0.0]) and len(taken) == 1

@@ -108,7 +108,8 @@ class LineFixes(FixBuffer):
     """A ``FixSource`` that reads lines ``x_m y_m heading_rad [age_s]`` in a thread.
 
     Poses are in the world frame; the age is from the picture to the line's arrival, 0 by default. Empty lines
-    and lines that begin with # are skipped. After the end of the file no more fixes arrive.
+    and lines that begin with # are skipped, and those with a NaN in the pose, which a tracker writes for an
+    occluded robot. After the end of the file no more fixes arrive.
     """
 
     def __init__(self, file: int, name: str) -> None:
@@ -131,8 +132,8 @@ class LineFixes(FixBuffer):
             *lines, rest = (rest + data).split(b"\n")
             for line in [*lines, *([rest] if len(rest) > _LINE_MAX else [])]:
                 number += 1
-                text = line.decode("utf-8", "replace").strip()
-                if not text or text.startswith("#"):
+                text = line.decode("utf-8", "replace").lstrip("\ufeff").strip()
+                if not text or text.startswith("#") or _is_lost(text):
                     continue
                 with self._lock:
                     try:
@@ -157,6 +158,11 @@ class LineFixes(FixBuffer):
             return os.read(self._file, 4096)
         except OSError:
             return b""
+
+
+def _is_lost(text: str) -> bool:
+    """Whether a line says that the tracker did not see the robot: its pose has a NaN."""
+    return "nan" in text.lower().replace(",", " ").split()[:3]
 
 
 def parse_line(text: str) -> tuple[float, tuple[float, float, float]]:

@@ -28,7 +28,7 @@ SECOND_US = DELAY_US + GAP_US
 DEFAULTS = config_of(load_robot("frog2022").planner)  # what the core is built with
 STALE = link_layout().status["STALE"]
 PARAMETER = link_layout().parameter
-OTHER_CLOCKS_US = [600_000, 2**32 - 700_000, 2**32 - 1, 2**40, 2**62]
+OTHER_CLOCKS_US = [600_000, 2**32 - 700_000, 2**32 - 1, 2**40, 2**52]
 
 
 def events(robot: Robot) -> list[Frame]:

@@ -140,9 +140,12 @@ void fk_journal_read(fk_store_t *store)
         }
     }
     if (store->place >= FK_STORE_STEPS && store->record.sequence != 0u) {
-        /* The next step goes to the other page, and may have been begun there. */
-        const step_t step = read_step(store, step_offset(FK_STORE_JOURNAL_PAGES - 1u - store->newest_page, 0u), &words);
-        store->in_doubt |= (step == TORN || step == DAMAGED) ? 1u : 0u;
+        /* The next step goes to the other page, and may have been begun there, once that was erased. */
+        const uint32_t other = FK_STORE_JOURNAL_PAGES - 1u - store->newest_page;
+        const step_t step = read_step(store, step_offset(other, 0u), &words);
+        if ((step == TORN || step == DAMAGED) && read_step(store, step_offset(other, 1u), &words) == EMPTY) {
+            store->in_doubt = 1u;
+        }
     }
     if (store->record.layout != layout_of(store->flash)) {
         forget_tables(&store->record);

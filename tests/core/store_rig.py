@@ -71,7 +71,8 @@ class Flash:
         if sim.operations and not sim.dead:
             state = self.state
             assert self._boot(None) == found and self.state == state, "the next boot does not agree"
-            assert sim.operations == 0, "the next boot writes"
+            # Marginal bits that read as if nothing was written there may lie below the first copy.
+            assert sim.operations == 0 or any(self._weak[0:JOURNAL]), "the next boot writes"
         sim.operations = 0
         self.lib.fk_test_store_keep(sim, self.store)
         return found

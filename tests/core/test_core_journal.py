@@ -18,6 +18,7 @@ from tests.core.journal_rig import (
     boot_robot,
     done,
     first_key,
+    first_of_its_page,
     flip,
     newest_at,
     no_bit_matters,
@@ -32,6 +33,7 @@ from tests.core.store_rig import (
     NEW,
     OLD,
     PAGE,
+    PLACES,
     RECORD,
     STEP,
     Flash,
@@ -134,6 +136,18 @@ def test_a_page_that_is_gone(name: str, damage: str) -> None:
     assert boot_robot(flash).ask("STATUS")["owner"] == link_layout().owner["OPEN"]
     done(flash.own(KEY_C))
     assert flash.boot() == 0 and flash.key == KEY_C
+
+
+def test_what_is_older_may_be_damaged() -> None:
+    """A step of the page that comes next, with the newest one the last of its own: nothing is written."""
+    flash = standing(first_of_its_page)
+    flash.fill_journal(0)
+    assert flash.boot() == 0 and (flash.store.page, flash.store.place) == (1, PLACES)
+    for place in range(PLACES):
+        for copy in range(2):
+            flip(flash, 8 * (place * STEP + copy * RECORD))
+        assert flash.boot() == 0 and flash.boot_operations == 0
+        assert flash.key == KEY_B and not flash.store.lost, place
 
 
 def test_the_owner_stays_where_the_slots_change() -> None:

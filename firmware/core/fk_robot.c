@@ -393,7 +393,7 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
 
     /* A decision waits for the current stroke to have begun. It is computed for its scheduled time, however late
      * it is made. */
-    if (robot->all_off != 0u || robot->off_again != 0u) {
+    if (robot->all_off != 0u) {
         outputs->next_tick_us = now_us;
     } else if (robot->second_mask != 0u) {
         outputs->next_tick_us = later(robot->second_us, robot->free_us);

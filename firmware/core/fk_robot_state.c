@@ -50,7 +50,7 @@ int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
         fk_robot_no_more_pulses(robot);
     }
     if (rule.action == FK_DO_OFF) {
-        if (fk_robot_is_still(robot, event)) {
+        if (event == FK_EVENT_DISARM && fk_robot_is_still(robot, event)) {
             robot->off_again = 1u;
         } else {
             robot->all_off = 1u;

@@ -191,6 +191,25 @@ def test_what_strangers_send_does_not_push_the_owner_s_records_out(state: str) -
         ]  # fmt: skip
 
 
+def test_a_stranger_s_stop_between_the_halves_of_a_stroke_is_logged() -> None:
+    """It changes something: the second limbs do not fire."""
+    robot, _ = owned()
+    log = Log()
+    log.memory.magic = 0
+    robot.core.fk_robot_use_log(robot.memory, log.memory)
+    actions = open_image(OLD).actions
+    halves = next(number for number, row in enumerate(actions) if row.first_mask and row.second_mask)
+    assert robot.status("ARM") == robot.status("STROKE", {"action": halves}) == "OK"
+    assert robot.tick(robot.now_us + 1000).limb_mask == actions[halves].first_mask
+    robot.auth = None
+    assert robot.status("STOP") == robot.status("STOP") == "OK"
+    assert robot.run_until(robot.now_us + 1_000_000) == []
+    assert robot.status("DISARM") == robot.status("DISARM") == "OK"  # the first one has not yet switched off
+    assert robot.tick().all_off == 1 and robot.status("DISARM") == "OK"
+    logged = [record.command for record in log.records()]
+    assert (logged.count("STOP"), logged.count("DISARM")) == (1, 2)
+
+
 @pytest.mark.parametrize("seed", range(cases(3, 30)))
 def test_what_an_owner_and_strangers_did_is_decided_again(seed: int) -> None:
     """What is not logged has changed nothing, or the replay would differ from the log."""

@@ -17,6 +17,9 @@ SOURCES = sorted(path.name for path in CORE.glob("*.c"))
 UNTAKEN = {
     # COBS as it is defined, but a block of 254 bytes never fits a frame of this link.
     "if (code < 255u && from < length) {",
+    # Heat from before a reset fills the history of a limb only in firmware flashed for shorter pulses, which
+    # test_core_guard_history builds, and in which nothing is counted.
+    "if (is_full(limb, end_us) || on_time_us(limb, end_us) + pulse_us > FK_DUTY_ON_MAX_US) {",
     # Every return is checked, and an index below the table's count has no error.
     "if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && "
     "masks.first_mask == 0u &&",

@@ -164,7 +164,7 @@ def test_keys_tables_cuts_and_wrong_bits_at_random() -> None:
             seen["repaired"] += flash.boot_operations > 0
         assert flash.sim.refused == 0, turn
     print(dict(seen))
-    assert min(seen[what] for what in ("cut", "OK", "cut at boot", "repaired")) > cases(2000, 40_000) // 50
+    assert min(seen[what] for what in ("cut", "OK", "cut at boot", "repaired")) >= cases(2000, 40_000) // 50
 
 
 def test_flash_that_holds_one_copy_or_none() -> None:

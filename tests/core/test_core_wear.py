@@ -38,12 +38,13 @@ def test_the_twin_counts_as_the_link_does() -> None:
     assert link_layout().learn == {"OFF": OFF, "ON": ON, "HELD": HELD}
 
 
-def worn(seed: int, periods: int, learned: Any = None) -> Robot:
+def worn(seed: int, periods: int, learned: Any = None, informed: bool = True) -> Robot:
     """A robot that learns what its limbs have lost from strokes by command, and then decides.
 
     Args:
         seed, periods: of its strokes.
         learned: RAM that keeps the estimate over a reset; the robot starts from its content.
+        informed: whether the fixes of a period have told its heading more than the prediction did.
     """
     given = swim(seed, periods, kick=0.1, name="worn", lost=[[0, 0, 0, 0], [0, 20_000, 0, 32_767]])
     robot, dice = robot_with_log(learned=learned)[0], random.Random(seed)
@@ -57,6 +58,8 @@ def worn(seed: int, periods: int, learned: Any = None) -> Robot:
     for at_us, kind, what in sorted(todo, key=lambda event: event[:2]):
         robot.run_until(at_us)
         if kind == 1:
+            if not informed:
+                robot.memory.estimator.track.covariance[1].predicted_variance = 0.0
             assert robot.status("STROKE", {"action": what}) == "OK"
             robot.tick()
         else:
@@ -64,6 +67,11 @@ def worn(seed: int, periods: int, learned: Any = None) -> Robot:
     assert robot.start() == "OK"
     robot.tick()
     return robot
+
+
+def test_nothing_is_learned_of_a_period_whose_heading_no_fix_has_told() -> None:
+    assert max(lost_of(worn(1, 60))) > 10_000
+    assert lost_of(worn(1, 60, informed=False)) == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("seed", range(1, 1 + cases(3, 30)))

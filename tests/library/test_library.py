@@ -308,7 +308,7 @@ def test_parts_that_do_not_fit_are_simulated_again(tmp_path: Path, whole: bytes,
             raise Stop
 
     seed = SEED + 1 if damage == "other job" else SEED
-    robot = replace(ROBOT, sha256=bytes(32)) if damage == "other robot" else ROBOT
+    robot = replace(ROBOT, title="another") if damage == "other robot" else ROBOT
     with pytest.raises(Stop):
         build_library(robot, 3, seed, 1, out, stop, record_s=0.0)
     part = tmp_path / "out.h5.parts" / "000000.npz"

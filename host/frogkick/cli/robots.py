@@ -46,7 +46,7 @@ def _lines() -> Iterator[list[str]]:
 
 def serve_pool(
     tables: opt.Tables = None,
-    model: opt.Swimmer = None,
+    model: Annotated[opt.Swimmer, opt.With(names=opt.FILE)] = None,
     virtual: Annotated[
         bool, "Run the robot's firmware on the virtual chip, instead of its C core on this computer."
     ] = False,

@@ -143,7 +143,7 @@ def test_a_changed_robot_makes_its_own_chunks(tmp_path: Path) -> None:
     plan = plan_sweep(ROBOT, [2.3], phases=1, egain_percent=[50.0])
     run_sweep(plan, tmp_path, workers=1)
     before = chunks_of(tmp_path)
-    run_sweep(replace(plan, robot=replace(ROBOT, sha256=bytes(32))), tmp_path, workers=1)
+    run_sweep(replace(plan, robot=replace(ROBOT, title="another")), tmp_path, workers=1)
     assert chunks_of(tmp_path) != before
 
 
